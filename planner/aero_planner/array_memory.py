@@ -61,11 +61,11 @@ class PackedArrays(Generic[Arrays]):
         size = 0
         for spec in specs.values():
             size = -(-size // _ALIGNMENT) * _ALIGNMENT
-            scalar = np.dtype(wp.dtype_to_numpy(getattr(spec.dtype, "_wp_scalar_type_", spec.dtype)))
-            shape = (*spec.evaluate_shape(sizes), *getattr(spec.dtype, "_shape_", ()))
+            item = _numpy_dtype(spec.dtype)
+            shape = spec.evaluate_shape(sizes)
             offsets.append(size)
-            formats.append((scalar, shape))
-            size += scalar.itemsize * math.prod(shape)
+            formats.append((item, shape))
+            size += item.itemsize * math.prod(shape)
         # One record over the whole memory: its fields are the arrays.
         self._record = np.dtype({"names": list(specs), "formats": formats, "offsets": offsets, "itemsize": size})
         self._memory = wp.zeros(size, dtype=wp.uint8, device=device)
@@ -131,6 +131,14 @@ class PackedArrays(Generic[Arrays]):
         values: Any = buffer.numpy()
         weakref.finalize(values, self._free_buffers.append, buffer).atexit = False
         return buffer, values
+
+
+def _numpy_dtype(dtype: Any) -> np.dtype:
+    """Return the NumPy type of an array entry: a scalar, a vector or matrix of them, or a struct."""
+    if hasattr(dtype, "numpy_dtype"):
+        return np.dtype(dtype.numpy_dtype())
+    scalar = wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype))
+    return np.dtype((scalar, getattr(dtype, "_shape_", ())))
 
 
 def array_specs(kind: type) -> dict[str, ArraySpec]:

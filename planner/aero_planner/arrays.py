@@ -33,6 +33,7 @@ from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.mppi import NOISE_ROWS, PROBES
 from aero_planner.kernels.records import CloudSweeps, bundle
 from aero_planner.kernels.stops import STOPS
+from aero_planner.kernels.sweep_change import SweepChange
 from aero_planner.kernels.warp_ops import point_pack
 
 
@@ -55,12 +56,13 @@ class PlannerInputs:
 
 @dataclass(eq=False)
 class SweepTable:
-    """The places of the sweeps in the ring, as in `CloudArrays`."""
+    """The places of the sweeps in the ring, as in `CloudArrays`, and the last change of them."""
 
     oldest: wp.array = array(wp.int32, "1", "", "Index of the first point of the oldest sweep.")
     start: wp.array = array(wp.int32, "S", "", "Index of the first point of each sweep.")
     count: wp.array = array(wp.int32, "B S", "", "Number of points of each sweep.")
     is_ordered: wp.array = array(wp.int32, "S", "", "1 for a sweep whose points are listed by shell, else 0.")
+    change: wp.array = array(SweepChange, "1", "", "Sweeps that arrive or are thinned.")
 
 
 @dataclass(eq=False)

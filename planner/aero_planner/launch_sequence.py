@@ -1,7 +1,7 @@
 """Recorded kernel launches and their replay.
 
 On the CPU a launch runs on one thread but releases the interpreter, so a pool of worker threads processes the chunks of
-a stage. On CUDA all launches replay as one graph, with a side stream for independent stages.
+a stage. On CUDA all launches replay as one graph, with side streams for independent stages.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ Launch = tuple[str, Callable[[], Any]]
 """A launch, and the name of the stage under which its time is counted."""
 Chunk = list[Launch]
 """Launches that run one after another."""
+PLAN = "plan"
+"""Name of the stages that plan."""
 
 
 def usable_cores() -> int:
@@ -38,17 +40,20 @@ class LaunchSequence:
         workers: CPU threads that share the chunks of a stage; 1 on CUDA.
 
     Attributes:
-        stages: stages in order; the chunks of a stage may run at the same time.
+        stages: stages in order, by the name of what they do; the chunks of a stage may run at the same time.
         stage_ms: time of each stage in the last `run` on the CPU [ms].
     """
 
     def __init__(self, device: wp.Device, workers: int) -> None:
-        self.stages: list[list[Chunk]] = []
+        self.stages: dict[str, list[list[Chunk]]] = {}
         self.stage_ms: dict[str, float] = {}
         self._device, self._workers = device, workers
         self._executor = ThreadPoolExecutor(workers - 1, "aero-planner") if workers > 1 else None
-        self._side_stream: Any = wp.Stream(device) if device.is_cuda else None
-        self._graph: Any = None
+        self._has_branches = device.is_cuda
+        self._side_streams: dict[str, Any] = {}
+        self._branch_ends: dict[str, Any] = {}
+        self._main_stream: Any = None
+        self._graphs: dict[str, Any] = {}
 
     def record(
         self, kernel: Any, dim: tuple[int, ...], *, inputs: list[Any], outputs: list[Any], block_dim: int = 256
@@ -64,38 +69,52 @@ class LaunchSequence:
         """Return a stage of one chunk."""
         return [[(name, launch) for launch in launches]]
 
-    def side_branch(self, name: str, *launches: Callable[[], Any]) -> list[Chunk]:
-        """Return a stage that runs on the side stream, in parallel with the stages up to the next join."""
-        return self.serial(name, self.fork, *launches, self.end_fork)
+    def branch(self, name: str, *launches: Callable[[], Any]) -> list[Callable[[], Any]]:
+        """Return launches that on CUDA run on a side stream, in parallel with those between them and the join."""
+        return [self.fork(name), *launches, self.end_fork(name)]
 
-    def fork(self) -> None:
-        """On CUDA, put the following launches on the side stream, after everything so far."""
-        if self._side_stream is not None:
-            self._side_stream.wait_event(self._main_stream.record_event())
-            self._device.set_stream(self._side_stream, sync=False)
+    def fork(self, name: str) -> Callable[[], Any]:
+        """Return a launch that on CUDA puts the following ones on a side stream, after everything so far."""
 
-    def end_fork(self) -> None:
-        """On CUDA, put the following launches on the main stream again, in parallel with those since `fork`."""
-        if self._side_stream is not None:
-            self._fork_end = self._side_stream.record_event()
-            self._device.set_stream(self._main_stream, sync=False)
+        def fork() -> None:
+            if self._has_branches:
+                if name not in self._side_streams:
+                    self._side_streams[name] = wp.Stream(self._device)
+                self._side_streams[name].wait_event(self._main_stream.record_event())
+                self._device.set_stream(self._side_streams[name], sync=False)
 
-    def join(self) -> None:
-        """On CUDA, let the main stream wait for the launches between `fork` and `end_fork`."""
-        if self._side_stream is not None:
-            self._main_stream.wait_event(self._fork_end)
+        return fork
 
-    def run(self) -> None:
-        """Run all stages in order. On the CPU, `stage_ms` then holds the time of each stage [ms]."""
+    def end_fork(self, name: str) -> Callable[[], Any]:
+        """Return a launch that on CUDA puts the following ones on the main stream, in parallel with the branch."""
+
+        def end_fork() -> None:
+            if self._has_branches:
+                self._branch_ends[name] = self._side_streams[name].record_event()
+                self._device.set_stream(self._main_stream, sync=False)
+
+        return end_fork
+
+    def join(self, name: str) -> Callable[[], Any]:
+        """Return a launch that on CUDA lets the main stream wait for the launches between `fork` and `end_fork`."""
+
+        def join() -> None:
+            if self._has_branches:
+                self._main_stream.wait_event(self._branch_ends[name])
+
+        return join
+
+    def run(self, name: str = PLAN) -> None:
+        """Run all stages of `name` in order. On the CPU, `stage_ms` then holds the time of each stage [ms]."""
         if self._device.is_cpu:
-            self._run_eagerly()
-        elif self._graph is None:
-            self._run_eagerly()  # loads the modules, which a capture cannot do
+            self._run_eagerly(name)
+        elif name not in self._graphs:
+            self._run_eagerly(name)  # loads the modules, which a capture cannot do
             with wp.ScopedDevice(self._device), wp.ScopedCapture() as capture:
-                self._run_eagerly()
-            self._graph = capture.graph
+                self._run_eagerly(name)
+            self._graphs[name] = capture.graph
         else:
-            wp.capture_launch(self._graph)
+            wp.capture_launch(self._graphs[name])
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans [ms].
@@ -120,7 +139,7 @@ class LaunchSequence:
 
         with self._single_stream(), wp.ScopedDevice(device), wp.ScopedCapture() as capture:
             record_event("")
-            launches = [launch for stage in self.stages for chunk in stage for launch in chunk]
+            launches = [launch for stage in self.stages[PLAN] for chunk in stage for launch in chunk]
             for i, (name, launch) in enumerate(launches):
                 launch()
                 if i + 1 == len(launches) or launches[i + 1][0] != name:
@@ -140,23 +159,22 @@ class LaunchSequence:
         On the CPU there must be one worker.
         """
         with self._single_stream(), wp.ScopedCapture(device=self._device, apic=True) as capture:
-            self._run_eagerly()
+            self._run_eagerly(PLAN)
         return capture.graph
 
     @contextmanager
     def _single_stream(self) -> Iterator[None]:
         """On CUDA, run everything on one stream."""
-        side_stream, self._side_stream = self._side_stream, None
+        has_branches, self._has_branches = self._has_branches, False
         try:
             yield
         finally:
-            self._side_stream = side_stream
+            self._has_branches = has_branches
 
-    def _run_eagerly(self) -> None:
-        if self._side_stream is not None:
-            self._main_stream = self._device.stream
+    def _run_eagerly(self, name: str) -> None:
+        self._main_stream = self._device.stream if self._has_branches else None
         self.stage_ms = {}
-        for stage in self.stages:
+        for stage in self.stages[name]:
             chunks = deque(stage)
             helpers = min(len(chunks), self._workers) - 1
             futures = (

@@ -29,8 +29,12 @@ from aero_planner.kernels import (
     stops,
 )
 from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.launch_sequence import Chunk, LaunchSequence
+from aero_planner.launch_sequence import PLAN, Chunk, LaunchSequence
 from aero_planner.pipeline_records import PipelineArrays, PipelineRecords
+from aero_planner.sweep_stages import SweepStages
+
+PLAN_AND_ARRIVAL = "plan and arrival"
+"""Name of the stages that plan and meanwhile take a sweep into the memory."""
 
 
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
@@ -75,34 +79,48 @@ class Pipeline(LaunchSequence):
         self._config, self._sizes = config, sizes
         self._tuning, self._batch_tuning = tuning, tuning.for_batch(sizes.B)
         self._inputs, self._outputs, self._work = arrays.inputs, arrays.outputs, arrays.work
-        self._cloud, self._newest, self._params = arrays.cloud, arrays.motion.newest, arrays.params
+        self._cloud, self._newest, self._params = arrays.cloud, arrays.motion.arrays.newest, arrays.params
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
         self._cloud_stages = CloudStages(self, config, sizes, tuning, arrays)
         self._duplicate_rows = self._cloud_stages.duplicate_rows
         self._records = PipelineRecords(arrays.inputs, arrays.outputs, arrays.work)
-        self.stages = self._record()
+        self._record_stages(arrays)
 
     # --- the stages, in order ---
 
-    def _record(self) -> list[list[Chunk]]:
-        """Record all launches. On CUDA, a side branch runs in parallel with the stages up to the join."""
+    def _record_stages(self, arrays: PipelineArrays) -> None:
+        """Record all launches. On CUDA, branches run in parallel with the stages up to their join."""
         cloud = self._cloud_stages
-        return [
-            self.side_branch("anchors", *self._place_anchors()),  # in parallel with the scan of the cloud
-            cloud.scan_points(),
+        place_movers = self._place_movers()
+        place_anchors = self.branch("anchors", *self._place_anchors())
+        scan = cloud.scan_points()
+        plan = [
             cloud.finish_fine_cells(),
-            self.serial("partition", self.join),
+            self.serial("partition", self.join("anchors")),
             cloud.find_surfaces(),
             cloud.find_nearest_surfaces(),
             cloud.continue_surfaces(),
-            self.serial("grid", self.fork),  # until the first clearance query
+            self.serial("grid", self.fork("grid")),  # until the first clearance query
             cloud.build_clearance_grid(),
-            self.serial("guides", self.end_fork, self._make_guides()),
+            self.serial("guides", self.end_fork("grid"), self._make_guides()),
             self._optimize(),
             *self._select_instance(),
         ]
+        anchors = self.serial("anchors", *place_anchors)
+        self.stages[PLAN] = [self.serial("anchors", *self.branch("movers", place_movers)), anchors, scan, *plan]
+        if arrays.change is not None and self._device.is_cuda:
+            sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
+            self.stages[PLAN_AND_ARRIVAL] = [
+                self.serial("motion", *self.branch("movers", *sweeps.estimate_motion(), place_movers)),
+                anchors,
+                self.serial("partition", *sweeps.thin()),
+                scan,
+                self.serial("order", *self.branch("order", *sweeps.order_points())),  # this plan reads without order
+                *plan,
+                self.serial("order", self.join("order")),
+            ]
 
     def _place_anchors(self) -> list[Callable[[], Any]]:
         i, o, w, r, anchor_config = self._inputs, self._outputs, self._work, self._records, self._config.anchors
@@ -118,7 +136,7 @@ class Pipeline(LaunchSequence):
                 o.initial_endpoints,
             ],
         )  # fmt: skip
-        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), self._place_movers(), place]
+        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), place]
 
     def _predict_state(self) -> Callable[[], Any]:
         r = self._records
@@ -162,7 +180,8 @@ class Pipeline(LaunchSequence):
         return [
             [
                 ("rollouts", self._sample_rollouts(first, end - first)),
-                ("clearance", self.join),
+                ("clearance", self.join("grid")),
+                ("clearance", self.join("movers")),
                 ("clearance", self._query_clearance(first, end - first)),
                 ("update", self._update_controls(first, end - first)),
             ]
@@ -238,9 +257,9 @@ class Pipeline(LaunchSequence):
             ]
         roll_out_stops, evaluate_stops = self._evaluate_all_stops()
         return [
-            self.serial("stage2", roll_out, self.fork, roll_out_stops, self.end_fork, evaluate),
+            self.serial("stage2", roll_out, *self.branch("stops", roll_out_stops), evaluate),
             pool,
-            self.serial("stage2", self.join, self.fork, score, self.end_fork, evaluate_stops, self.join),
+            self.serial("stage2", self.join("stops"), *self.branch("score", score), evaluate_stops, self.join("score")),
             self.serial("stage2", self._commit_plan()),
         ]
 

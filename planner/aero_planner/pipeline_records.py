@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from aero_planner.arrays import CloudArrays, MotionArrays, PlannerInputs, PlannerOutputs, Workspace
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts, bundle
+from aero_planner.motion import Motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +22,9 @@ class PipelineArrays:
     work: Workspace
     cloud: CloudArrays
     """The sweeps to plan from."""
-    motion: MotionArrays
+    change: wp.array | None
+    """How these sweeps change; None for a cloud that the caller has joined."""
+    motion: Motion
     """What moves among their obstacles."""
     params: wp.array
     """Live parameters, shape [B]."""

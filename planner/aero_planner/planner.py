@@ -21,9 +21,9 @@ from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import EMPTY, fill_directions
-from aero_planner.launch_sequence import usable_cores
+from aero_planner.launch_sequence import PLAN, usable_cores
 from aero_planner.motion import Motion
-from aero_planner.pipeline import Pipeline
+from aero_planner.pipeline import PLAN_AND_ARRIVAL, Pipeline
 from aero_planner.pipeline_records import PipelineArrays
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
@@ -118,8 +118,9 @@ class Planner:
         self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
 
     def _make_pipeline(self) -> Pipeline:
+        change = self._memory.change if self._memory is not None and self._scanned is self._memory.arrays else None
         arrays = PipelineArrays(
-            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, self._motion.arrays, self._params
+            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, change, self._motion, self._params
         )
         return Pipeline(self._config, self._sizes, self._tuning, arrays)
 
@@ -233,8 +234,7 @@ class Planner:
 
         Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`.
         """
-        position = self._inputs.arrays.position
-        self._memory = SweepMemory(position, self._params, self._motion, sweeps=sweeps, points=points, whole=whole)
+        self._memory = SweepMemory(self._motion, sweeps=sweeps, points=points, whole=whole)
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
@@ -313,17 +313,16 @@ class Planner:
         host = self._inputs.host()
         for name, value in checked.items():
             host[name][:] = value
+        stages = PLAN
         if isinstance(points, Sweeps):
             self._inputs.upload()
-            self._write_sweeps(points)
+            stages = self._write_sweeps(points)
         else:
             self._write_points(points)
             self._inputs.upload()
         uploaded = time.perf_counter()
-        self.launch()
+        self._pipeline.run(stages)
         self._outputs.start_download()
-        if self._memory is not None:
-            self._memory.order_arrived()  # while the device plans
         values = self._outputs.finish_download()
         done = time.perf_counter()
         stage_ms = {"inputs": 1e3 * (uploaded - started)}
@@ -344,7 +343,8 @@ class Planner:
             self._inputs.host()["point_count"][:] = counts
         self._scan(self._cloud.arrays)
 
-    def _write_sweeps(self, sweeps: Sweeps) -> None:
+    def _write_sweeps(self, sweeps: Sweeps) -> str:
+        """Plan from these sweeps, and return the name of the stages to run."""
         if self._batched:
             raise ValueError("sweeps were given for a batch; give a joined cloud for each drone, or use `store_sweep`.")
         if self._memory is None or not self._memory.has_room(sweeps):
@@ -353,6 +353,9 @@ class Planner:
         assert self._memory is not None
         self._scan(self._memory.arrays)
         self._memory.hold(sweeps)
+        if self._device.is_cpu or self._config.forgets_wakes:
+            self._memory.finish_change()  # before the cloud is scanned
+        return PLAN_AND_ARRIVAL if self._memory.take_change() else PLAN
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.

@@ -2,11 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from aero_planner.config import Value
+from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 from tests.planner.reference import Array, rotation, unit
 
 SMALL: dict[str, Value] = {"sampling.samples": 16}
@@ -22,6 +25,14 @@ PLAN_ARRAYS = [
 def config_of(preset: str = "default", **changes: Value) -> PlannerConfig:
     """Return a preset with few samples and `changes`, whose names carry "__" for the dot."""
     return PlannerConfig.preset(preset).replace(SMALL | {k.replace("__", "."): v for k, v in changes.items()})
+
+
+def change_of_sweeps(recent: Sequence[int], device: str, *, number: int = 0, oldest: int = 0) -> wp.array:
+    """Return a change in which no sweep arrives, and the motion is estimated from the rows `recent`, newest first."""
+    change: Any = SweepChange()
+    change.arrived, change.thinned, change.number, change.oldest = -1, -1, number, oldest
+    change.recent = RecentRows(*recent, *[-1] * (int(RECENT) - len(recent)))
+    return wp.array([change], dtype=SweepChange, device=device)
 
 
 @dataclass

@@ -247,11 +247,11 @@ node_program.open_link = lambda *_: StandingLink()
 node_program.open_lidar = lambda *_: StandingLidar()
 plan = pipeline.Pipeline.run
 
-def run(self):
+def run(self, stages):
     if threading.current_thread().name == "aero-planner-planning":
         print("a plan hangs", file=sys.stderr, flush=True)
         ThreadPoolExecutor(1).submit(threading.Event().wait).result()
-    plan(self)
+    plan(self, stages)
 
 pipeline.Pipeline.run = run
 sys.exit(cli.main(["run", "--config", sys.argv[1], "--threads", "2", "--json"]))

@@ -84,6 +84,11 @@ class PlannerConfig(SectionedConfig):
         """Range beyond which points are ignored, which grows with the speed limit [m]."""
         return max(self.partition.range_max, self.partition.range_time * self.vehicle.speed_limit)
 
+    @property
+    def forgets_wakes(self) -> bool:
+        """True if points are left out that obstacles have left behind, see `kernels.wakes`."""
+        return self.partition.predict and self.vehicle.speed_limit < self.partition.predict_wake_speed
+
     def structure(self) -> tuple[tuple[str, Value], ...]:
         """Return path and value of each structural parameter; configurations of equal structure can share buffers."""
         return tuple((info.path, self.get(info.path)) for info in self.parameters() if not info.live)

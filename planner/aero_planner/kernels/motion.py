@@ -8,9 +8,7 @@ All sweeps are cut at the height at which the newest one arrived, so that the se
 while the drone climbs.
 """
 
-# Postponed annotations are left out: the vector type is local to the module.
-
-from typing import Any
+# Postponed annotations are left out: native functions need the types themselves.
 
 import warp as wp
 
@@ -18,11 +16,10 @@ from aero_planner.kernels.dynamics import near_atan2
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 
 wp.set_module_options({"enable_backward": False})
 
-RECENT = wp.constant(8)
-"""Newest sweeps that are looked at."""
 BINS = wp.constant(720)
 """Bins of a scan around the horizon."""
 BIN_ANGLE = wp.constant(2.0 * 3.14159265 / 720.0)
@@ -47,9 +44,6 @@ _NEAREST = wp.constant(0x7F000000)
 BLOCK = wp.constant(30)
 """Bins of a block, in which circles are counted."""
 
-RecentRows: Any = wp.types.vector(length=RECENT, dtype=wp.int32)
-"""Rows of the newest sweeps, newest first; -1 where there are fewer."""
-
 
 @wp.struct
 class Circles:
@@ -71,22 +65,22 @@ class Segments:
 
 @wp.kernel
 def stamp_sweep(
-    row: int,
-    number: int,
-    given_time: wp.float64,
-    given_position: wp.vec3,
+    change: wp.array(dtype=SweepChange),
     time: wp.array(dtype=wp.float64),
     position: wp.array(dtype=wp.vec3),
     # out
     cloud: CloudSweeps,
 ):
-    """Keep when and where a sweep was complete: what is given, or the inputs where that is NaN. Launched over [B]."""
+    """Keep when and where the sweep that arrives was complete. Launched over [B]."""
     b = wp.tid()
+    row = change[0].arrived
+    if row < 0:
+        return
     if b == 0:
-        cloud.number[row] = number
+        cloud.number[row] = change[0].number
         cloud.tracked_from[row] = -1
-    cloud.time[b, row] = wp.where(wp.isnan(given_time), time[b], given_time)
-    cloud.origin[b, row] = wp.where(wp.isnan(given_position[0]), position[b], given_position)
+    cloud.time[b, row] = wp.where(wp.isnan(change[0].time), time[b], change[0].time)
+    cloud.origin[b, row] = wp.where(wp.isnan(change[0].position[0]), position[b], change[0].position)
 
 
 @wp.func
@@ -101,32 +95,37 @@ def origin_of_scan(b: int, recent: int, rows: RecentRows, cloud: CloudSweeps) ->
 
 @wp.kernel
 def scan_obstacles(
-    rows: RecentRows,
+    threads: int,
+    change: wp.array(dtype=SweepChange),
     # problem
     cloud: CloudSweeps,
     ground_height: wp.array(dtype=float),
     # configuration
     params: wp.array(dtype=Params),
     # out
-    scan: wp.array3d(dtype=int),
+    scan: wp.array3d(dtype=int),  # 0 before
 ):
-    """Find the nearest range of each bin of the recent sweeps. Launched over [B, RECENT, points of a sweep]."""
-    b, recent, i = wp.tid()
+    """Find the nearest range of each bin of the recent sweeps. Launched over [B, RECENT, threads per sweep]."""
+    b, recent, thread = wp.tid()
+    rows = change[0].recent
     row = rows[recent]
     if row < 0 or params[b].predict == 0:
         return
-    if i >= cloud.count[b, row]:
-        return
-    point = cloud.points[b, cloud.start[row] + i]
-    # False for a point that is not finite.
-    height = point[2] - cloud.origin[b, rows[0]][2]
-    if height >= -_BELOW and height <= _ABOVE and point[2] >= ground_height[b] + _ABOVE_GROUND:
-        offset = point - origin_of_scan(b, recent, rows, cloud)
-        r = wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1])
-        if r > params[b].range_min and r <= params[b].predict_range:
-            k = int((near_atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS)) % BINS
-            # The bits of positive floats have the order of the floats.
-            wp.atomic_max(scan, b, recent, k, _NEAREST - wp.cast(r, wp.int32))
+    first = cloud.start[row]
+    level = cloud.origin[b, rows[0]][2]
+    ground = ground_height[b]
+    origin = origin_of_scan(b, recent, rows, cloud)
+    for i in range(thread, cloud.count[b, row], threads):
+        point = cloud.points[b, first + i]
+        # False for a point that is not finite.
+        height = point[2] - level
+        if height >= -_BELOW and height <= _ABOVE and point[2] >= ground + _ABOVE_GROUND:
+            offset = point - origin
+            r = wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1])
+            if r > params[b].range_min and r <= params[b].predict_range:
+                k = int((near_atan2(offset[1], offset[0]) / (2.0 * wp.PI) + 0.5) * float(BINS)) % BINS
+                # The bits of positive floats have the order of the floats.
+                wp.atomic_max(scan, b, recent, k, _NEAREST - wp.cast(r, wp.int32))
 
 
 @wp.func
@@ -165,7 +164,7 @@ def circle_of_segment(
 
 @wp.kernel
 def find_segments(
-    rows: RecentRows,
+    change: wp.array(dtype=SweepChange),
     # problem
     cloud: CloudSweeps,
     # configuration
@@ -181,6 +180,7 @@ def find_segments(
     """
     b, recent, first = wp.tid()
     circles.radius[b, recent, first] = 0.0
+    rows = change[0].recent
     if rows[recent] < 0 or params[b].predict == 0:
         return
     last_range = range_of_bin(scan, b, recent, first)

@@ -11,6 +11,7 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_change import SweepChange, changed_row
 from aero_planner.kernels.warp_ops import claim_slot
 from aero_planner.sweeps import HASH_FACTORS, THINNING
 
@@ -49,15 +50,18 @@ def shell_of_point(point: wp.vec3, center: wp.vec3, reach: float) -> int:
 
 
 @wp.kernel
-def start_sweep(
-    sweep: int,
+def start_shells(
+    change: wp.array(dtype=SweepChange),
     position: wp.array(dtype=wp.vec3),
     params: wp.array(dtype=Params),
     # out
     cloud: CloudSweeps,
 ):
-    """Centre the shells of a sweep on the drones and reset its counters. Launched over [B]."""
-    b = wp.tid()
+    """Centre the shells of the sweeps that change on the drones and reset their counters. Launched over [B, 2]."""
+    b, k = wp.tid()
+    sweep = changed_row(change[0], k)
+    if sweep < 0:
+        return
     cloud.center[b, sweep] = position[b]
     cloud.reach[b, sweep] = params[b].range_max
     for i in range(COUNTERS):
@@ -66,24 +70,34 @@ def start_sweep(
 
 @wp.kernel
 def count_shells(
-    sweep: int,
+    threads: int,
+    change: wp.array(dtype=SweepChange),
     # in and out
     cloud: CloudSweeps,
 ):
-    """Count the points of each shell of a sweep. Launched over [B, points of the sweep]."""
-    b, i = wp.tid()
-    shell = shell_of_point(cloud.points[b, cloud.start[sweep] + i], cloud.center[b, sweep], cloud.reach[b, sweep])
-    claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
+    """Count the points of each shell. Launched over [B, 2, threads per sweep]."""
+    b, k, thread = wp.tid()
+    sweep = changed_row(change[0], k)
+    if sweep < 0:
+        return
+    first = cloud.start[sweep]
+    for i in range(thread, cloud.count[b, sweep], threads):
+        shell = shell_of_point(cloud.points[b, first + i], cloud.center[b, sweep], cloud.reach[b, sweep])
+        claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
 
 
 @wp.kernel
 def begin_shells(
-    sweep: int,
+    change: wp.array(dtype=SweepChange),
     # in and out
     cloud: CloudSweeps,
 ):
-    """Turn the counts of the shells into where each begins in the list of the sweep. Launched over [B]."""
-    row = wp.tid() * cloud.start.shape[0] + sweep
+    """Turn the counts of the shells into where each begins in the list of its sweep. Launched over [B, 2]."""
+    b, k = wp.tid()
+    sweep = changed_row(change[0], k)
+    if sweep < 0:
+        return
+    row = b * cloud.start.shape[0] + sweep
     begin = int(0)
     for i in range(SHELLS):
         count = cloud.shell_ends[row, i]
@@ -93,30 +107,42 @@ def begin_shells(
 
 @wp.kernel
 def fill_shells(
-    sweep: int,
+    threads: int,
+    change: wp.array(dtype=SweepChange),
     # in and out
     cloud: CloudSweeps,
 ):
-    """List the points of a sweep by shell; `shell_ends` become the ends. Launched over [B, points of the sweep]."""
-    b, i = wp.tid()
+    """List the points of each sweep by shell; `shell_ends` become the ends. Launched over [B, 2, threads per sweep]."""
+    b, k, thread = wp.tid()
+    sweep = changed_row(change[0], k)
+    if sweep < 0:
+        return
     first = cloud.start[sweep]
-    shell = shell_of_point(cloud.points[b, first + i], cloud.center[b, sweep], cloud.reach[b, sweep])
-    if shell < SHELLS:
-        slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
-        cloud.order[b, first + slot] = first + i
+    if b + thread == 0:
+        cloud.is_ordered[sweep] = 1
+    for i in range(thread, cloud.count[b, sweep], threads):
+        shell = shell_of_point(cloud.points[b, first + i], cloud.center[b, sweep], cloud.reach[b, sweep])
+        if shell < SHELLS:
+            slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
+            cloud.order[b, first + slot] = first + i
 
 
 @wp.kernel
 def thin_sweep(
-    sweep: int,
+    threads: int,
+    change: wp.array(dtype=SweepChange),
     # in and out
     cloud: CloudSweeps,
 ):
-    """Remove all points of a sweep but one in `THINNING`. Launched over [B, points of the sweep]."""
-    b, i = wp.tid()
-    index = cloud.start[sweep] + i
-    x = cloud.points[b, index]
-    digest = wp.cast(x[0], wp.uint32) * _FACTOR_X + wp.cast(x[1], wp.uint32) * _FACTOR_Y
-    digest += wp.cast(x[2], wp.uint32) * _FACTOR_Z
-    if (digest >> wp.uint32(16)) % _THINNING != wp.uint32(0):
-        cloud.points[b, index] = wp.vec3(wp.NAN)
+    """Remove all points of a sweep but one in `THINNING`. Launched over [B, threads]."""
+    b, thread = wp.tid()
+    sweep = change[0].thinned
+    if sweep < 0:
+        return
+    for i in range(thread, cloud.count[b, sweep], threads):
+        index = cloud.start[sweep] + i
+        x = cloud.points[b, index]
+        digest = wp.cast(x[0], wp.uint32) * _FACTOR_X + wp.cast(x[1], wp.uint32) * _FACTOR_Y
+        digest += wp.cast(x[2], wp.uint32) * _FACTOR_Z
+        if (digest >> wp.uint32(16)) % _THINNING != wp.uint32(0):
+            cloud.points[b, index] = wp.vec3(wp.NAN)

@@ -8,10 +8,11 @@ places were occupied all along: the visible part of an inclined trunk creeps whi
 
 import warp as wp
 
-from aero_planner.kernels.motion import BIN_ANGLE, BINS, RECENT, RecentRows, Segments, origin_of_scan, range_of_bin
+from aero_planner.kernels.motion import BIN_ANGLE, BINS, Segments, origin_of_scan, range_of_bin
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 from aero_planner.kernels.sweep_numbers import is_confirmed, row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
@@ -136,7 +137,7 @@ def has_moved(
 
 @wp.kernel
 def follow_segments(
-    rows: RecentRows,
+    change: wp.array(dtype=SweepChange),
     # problem
     cloud: CloudSweeps,
     # configuration
@@ -155,6 +156,7 @@ def follow_segments(
     """
     b, begin, i = wp.tid()
     found.radius[b, begin, i] = -1.0
+    rows = change[0].recent
     if rows[begin] < 0 or params[b].predict == 0:
         return
     if i >= segments.count[b, begin]:
@@ -242,8 +244,7 @@ def add_track(b: int, row: int, position: wp.vec2, velocity: wp.vec2, radius: fl
 
 @wp.kernel
 def merge_tracks(
-    rows: RecentRows,
-    oldest: int,
+    change: wp.array(dtype=SweepChange),
     # configuration
     params: wp.array(dtype=Params),
     # in
@@ -256,11 +257,15 @@ def merge_tracks(
     """List what was found in the newest sweep, then what was last found in older ones. Launched over [B].
 
     An obstacle that two sweeps of the last `_MEMORY` seconds showed goes on at its velocity, unless the newest scan
-    shows that it is not there. `oldest` is the number of the oldest sweep in memory: as in `kernels.wakes`, tracks are
-    used only while all sweeps that they were made of are.
+    shows that it is not there. As in `kernels.wakes`, tracks are used only while all sweeps that they were made of are
+    in memory.
     """
     b = wp.tid()
+    rows = change[0].recent
+    oldest = change[0].oldest
     row = rows[0]
+    if row < 0:
+        return
     if b == 0:
         newest[0] = row
         last = rows[RECENT - 1]

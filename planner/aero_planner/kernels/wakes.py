@@ -11,6 +11,7 @@ import warp as wp
 
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
+from aero_planner.kernels.sweep_change import SweepChange
 from aero_planner.kernels.sweep_numbers import is_confirmed, row_with_tracks
 
 wp.set_module_options({"enable_backward": False})
@@ -57,19 +58,20 @@ def add_wakes(b: int, sweep: int, row: int, before: int, cloud: CloudSweeps):
 
 @wp.kernel
 def find_wakes(
-    oldest: int,
-    newest: int,
+    change: wp.array(dtype=SweepChange),
     # configuration
     params: wp.array(dtype=Params),
     # in and out
     cloud: CloudSweeps,
 ):
-    """Find the wakes of the sweeps with the numbers from `oldest` to `newest`. Launched over [B, S].
+    """Find the wakes of all sweeps in memory. Launched over [B, S].
 
     The oldest sweeps, which only tracks that do not count would tell about, take those of the first one that counts.
     """
     b, sweep = wp.tid()
     cloud.wake_count[b, sweep] = 0
+    oldest = change[0].oldest
+    newest = change[0].number
     number = cloud.number[sweep]
     if number < oldest or number >= newest or not forgets_wakes(params[b]):
         return

@@ -5,11 +5,12 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.motion import BINS, BLOCK, RECENT, Circles, RecentRows, Segments, find_segments, list_segments
+from aero_planner.kernels.motion import BINS, BLOCK, Circles, Segments, find_segments, list_segments
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
-from tests.planner.cases import config_of
+from aero_planner.kernels.sweep_change import RECENT
+from tests.planner.cases import change_of_sweeps, config_of
 
 L, A, X = int(RECENT), int(BINS), int(MOVERS)
 JUMP, GAP, LEAST_BINS, LARGEST_SINE = 0.3, 2, 3, 0.7
@@ -33,7 +34,8 @@ def circles_of(scans: NDArray[np.float32], device: str) -> list[NDArray[np.float
         radius=wp.empty((1, L, X), dtype=float, device=device),
     )
     params = wp.array(np.array([pack(config_of(partition__predict_width=WIDTH_MAX))]), dtype=Params, device=device)
-    inputs = [RecentRows(*range(L)), bundle(CloudSweeps, origin=origin), params, wp.array(entries, device=device)]
+    change = change_of_sweeps(range(L), device)
+    inputs = [change, bundle(CloudSweeps, origin=origin), params, wp.array(entries, device=device)]
     wp.launch(find_segments, (1, L, A), inputs=inputs, outputs=[circles], device=device)
     wp.launch(list_segments, (1, L, A), inputs=[circles], outputs=[segments], device=device)
     found = np.concatenate((segments.center.numpy()[0], segments.radius.numpy()[0, :, :, None]), axis=-1)

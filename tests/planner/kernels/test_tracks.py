@@ -7,12 +7,13 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.motion import BINS, RECENT, RecentRows, Segments
+from aero_planner.kernels.motion import BINS, Segments
 from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
+from aero_planner.kernels.sweep_change import RECENT
 from aero_planner.kernels.tracks import LENGTH, STARTS, FoundTracks, follow_segments
-from tests.planner.cases import config_of
+from tests.planner.cases import change_of_sweeps, config_of
 from tests.planner.pillars import PERIOD
 
 TIMES = 5.0 - PERIOD * np.arange(int(RECENT))
@@ -44,7 +45,8 @@ def follow(centers: NDArray[np.float32], device: str, *, scan: NDArray[np.int32]
     )
     params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
     bins = np.zeros((1, L, int(BINS)), np.int32) if scan is None else scan[None]
-    inputs = [RecentRows(*range(L)), cloud, params, wp.array(bins, dtype=int, device=device), segments]
+    change = change_of_sweeps(range(L), device)
+    inputs = [change, cloud, params, wp.array(bins, dtype=int, device=device), segments]
     wp.launch(follow_segments, shape, inputs=inputs, outputs=[found], device=device)
     return found
 

@@ -11,7 +11,7 @@ from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.records import CloudSweeps, bundle
 from aero_planner.kernels.wakes import WAKES, find_wakes
-from tests.planner.cases import config_of, kept_points
+from tests.planner.cases import change_of_sweeps, config_of, kept_points
 from tests.planner.pillars import RADIUS, Array, plan_from, sweeps_of
 
 AXIS = np.array([5.0, 1.0])
@@ -128,7 +128,8 @@ def test_wakes_are_the_tracks_of_the_sweeps_that_follow(device: str):
         wake_radius=wp.zeros(shape, dtype=float, device=device),
     )
     params = wp.array(np.array([pack(config_of(partition__predict_wake_speed=50.0))]), dtype=Params, device=device)
-    wp.launch(find_wakes, (1, S), inputs=[oldest, S - 1, params], outputs=[cloud], device=device)
+    change = change_of_sweeps((), device, number=S - 1, oldest=oldest)
+    wp.launch(find_wakes, (1, S), inputs=[change, params], outputs=[cloud], device=device)
     for k in range(S):
         expected = reference_wakes(k, times, tracked_from, tracks, oldest) if oldest <= k < S - 1 else []
         found = cloud.wake_count.numpy()[0, row_of[k]]
