@@ -29,6 +29,8 @@ class History:
     """Its stamp [s], shape [B]; NaN where there is no previous plan."""
     tick: NDArray[np.int32]
     """Number of plans so far, which selects the noise, shape [B]."""
+    mean_disturbance: NDArray[np.float32]
+    """Mean acceleration that the model does not explain [m/s^2], shape [B, 3], world frame."""
     view_quaternion: NDArray[np.float32]
     """Attitude at the previous plan, body to world, that lags by `view_age` on average, shape [B, 4]."""
     stop: NDArray[np.float32]
@@ -77,6 +79,6 @@ def _arrays(work: Workspace) -> list[wp.array]:
     """Return the arrays of a `History`, in the order of its fields."""
     return [
         work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint,
-        work.previous_time, work.tick, work.view_quaternion, work.proven_stop, work.proven_stop_age,
-        work.places, work.place_count, work.place_goal, work.place_nearest, work.place_idle,
+        work.previous_time, work.tick, work.mean_disturbance, work.view_quaternion, work.proven_stop,
+        work.proven_stop_age, work.places, work.place_count, work.place_goal, work.place_nearest, work.place_idle,
     ]  # fmt: skip

@@ -139,20 +139,23 @@ def sample_guide(coefficients: Array, times: Array) -> Array:
 # Model.
 
 
-def derivative(x: Array, u: Array, config: PlannerConfig) -> Array:
-    """Return dx/dt of x = [p, q, v] under u = (F_t, omega)."""
+NO_DISTURBANCE = np.zeros(3)
+
+
+def derivative(x: Array, u: Array, config: PlannerConfig, disturbance: Array = NO_DISTURBANCE) -> Array:
+    """Return dx/dt of x = [p, q, v] under u = (F_t, omega) and a disturbance [m/s^2]."""
     q, v = x[3:7], x[7:]
-    dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity]
+    dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity] + disturbance
     return np.concatenate((v, 0.5 * quat_multiply(q, np.concatenate(([0.0], u[1:]))), dv))
 
 
-def rk4(x: Array, u: Array, config: PlannerConfig) -> Array:
+def rk4(x: Array, u: Array, config: PlannerConfig, disturbance: Array = NO_DISTURBANCE) -> Array:
     """Return the state after dt, with q renormalised."""
     h = config.sampling.dt
-    k1 = derivative(x, u, config)
-    k2 = derivative(x + h / 2 * k1, u, config)
-    k3 = derivative(x + h / 2 * k2, u, config)
-    k4 = derivative(x + h * k3, u, config)
+    k1 = derivative(x, u, config, disturbance)
+    k2 = derivative(x + h / 2 * k1, u, config, disturbance)
+    k3 = derivative(x + h / 2 * k2, u, config, disturbance)
+    k4 = derivative(x + h * k3, u, config, disturbance)
     x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     x[3:7] = unit(x[3:7])
     return x
@@ -188,20 +191,27 @@ def roll_out(
     controls: Array,
     config: PlannerConfig,
     control: Array | None = None,
+    disturbance: Array = NO_DISTURBANCE,
 ) -> Rollout:
     """Return the states under commands; `control` is in effect at first, hover by default, and lags behind them."""
     x, states = np.concatenate((position, unit(quaternion), velocity)), []
     control = hover(config) if control is None else control
     for command in controls.astype(np.float64):
         mean, control = follow(control, command, config.sampling.dt, config)
-        x = rk4(x, mean, config)
+        x = rk4(x, mean, config, disturbance)
         states.append(x)
     x = np.array(states)
     return Rollout(x[:, :3], x[:, 3:7], x[:, 7:])
 
 
 def follow_guide(
-    coefficients: Array, quaternion: Array, yaw_rate: float, command: Array, control: Array, config: PlannerConfig
+    coefficients: Array,
+    quaternion: Array,
+    yaw_rate: float,
+    command: Array,
+    control: Array,
+    config: PlannerConfig,
+    disturbance: Array = NO_DISTURBANCE,
 ) -> Array:
     """Return the nominal controls of an anchor, shape [N, 4], from the coefficients of its guide, shape [3, 6].
 
@@ -213,7 +223,7 @@ def follow_guide(
 
     def force(s: float) -> Array:
         acceleration = coefficients[:, 2:] @ [k * (k - 1) * s ** (k - 2) for k in range(2, 6)]
-        return v.mass * np.add(acceleration, [0.0, 0.0, v.gravity])
+        return v.mass * (np.add(acceleration, [0.0, 0.0, v.gravity]) - disturbance)
 
     for t in range(N):
         x, y, z = rotation(q).T @ unit(force(min((t + 1) * dt + lead, N * dt)))

@@ -6,6 +6,7 @@ from aero_planner.config.parameter import Value
 
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
+    "vehicle.disturbance_time": 0.0,
     "partition.range_min": 0.0,
     "anchors.lookahead_rest": 5.0,
     "partition.range_time": 0.0,
@@ -44,6 +45,7 @@ _PAPER: dict[str, Value] = {
 
 _PX4: dict[str, Value] = {
     "vehicle.thrust_lag": 0.045,
+    "vehicle.disturbance_time": 0.0,
     "vehicle.rate_xy_lag": 0.07,
     "vehicle.rate_z_lag": 0.07,
     "sampling.variance_rate_z": 0.02,

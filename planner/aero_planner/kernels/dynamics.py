@@ -156,11 +156,19 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
 
 
 @wp.func
-def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, gravity: float, dt: float):
-    """Return p, v and q, renormalised, after one RK4 step at constant control from a unit q."""
+def thrust_free_acceleration(disturbance: wp.vec3, params: Params) -> wp.vec3:
+    """Return g + d, the acceleration without thrust [m/s^2], world frame."""
+    return disturbance - wp.vec3(0.0, 0.0, params.gravity)
+
+
+@wp.func
+def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.vec3, dt: float):
+    """Return p, v and q, renormalised, after one RK4 step at constant control from a unit q.
+
+    `g` is the acceleration without thrust [m/s^2].
+    """
     omega = wp.vec3(u[1], u[2], u[3])
     thrust = u[0] / mass
-    g = wp.vec3(0.0, 0.0, -gravity)
     # The stages q + dt/2 dq(q), q + dt/2 dq(q2) and q + dt dq(q3), by the algebra of `_step_factors`, which makes them
     # independent of each other.
     dq = _rate(q, omega)

@@ -20,6 +20,7 @@ from aero_planner.kernels.dynamics import (
     quat_rotate,
     rotate_by_rates,
     thrust_axis,
+    thrust_free_acceleration,
 )
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
@@ -105,6 +106,7 @@ def write_nominal(
     q0: wp.vec4,
     command: wp.vec4,
     control: wp.vec4,
+    disturbance: wp.vec3,
     heading_goal: float,
     lag: float,
     params: Params,
@@ -112,7 +114,7 @@ def write_nominal(
 ):
     """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
 
-    The acceleration of the guide determines the thrust vector m (a - g) and with it the body z axis. The body rates
+    The acceleration of the guide determines the thrust vector m (a - g - d) and with it the body z axis. The body rates
     turn the attitude reached so far to the required axis at the end of each time step, which also corrects an initial
     attitude that does not fit the guide. The heading turns at a constant rate to that of the goal.
 
@@ -125,7 +127,7 @@ def write_nominal(
     dt = params.dt
     steps = nominal_controls.shape[2]
     yaw_rate = wrap_angle(heading_goal - heading(q0)) / (float(steps) * dt)
-    up = wp.vec3(0.0, 0.0, params.gravity)
+    up = -thrust_free_acceleration(disturbance, params)
     q = q0
     acting = control
     shares = lag_shares(dt, params)
@@ -294,6 +296,9 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         elif lane == 0:
             # Braking is urgent and begins at once.
             lag = wp.where(m < anchor_count, c.nominal_lag, 0.0)
-            write_nominal(b, m, curve, q0, drone.command[b], drone.control[b], heading_goal, lag, c, nominal_controls)
+            write_nominal(
+                b, m, curve, q0, drone.command[b], drone.control[b], drone.disturbance[b], heading_goal, lag, c,
+                nominal_controls,
+            )  # fmt: skip
 
     return tuning.set_options(make_guides)

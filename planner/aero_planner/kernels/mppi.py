@@ -20,7 +20,14 @@ from aero_planner.kernels.costs import (
     track_cost,
     vnorm_cost,
 )
-from aero_planner.kernels.dynamics import clamp_control, lag_shares, lagged_control, mean_lag_shares, rk4_step
+from aero_planner.kernels.dynamics import (
+    clamp_control,
+    lag_shares,
+    lagged_control,
+    mean_lag_shares,
+    rk4_step,
+    thrust_free_acceleration,
+)
 from aero_planner.kernels.escape import Escape, escape_cost
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
@@ -156,6 +163,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 x[6 + axis, j] = q0[axis]
         shares = lag_shares(c.dt, c)
         mean_shares = mean_lag_shares(shares, c.dt, c)
+        g = thrust_free_acceleration(drone.disturbance[b], c)
         noise = Controls()
         u = Controls()
         acting = Controls()
@@ -200,7 +208,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 a = wp.vec4(acting[0, j], acting[1, j], acting[2, j], acting[3, j])
                 mean = lagged_control(u_t, a, mean_shares)
                 a = lagged_control(u_t, a, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, c.dt)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, g, c.dt)
                 S[j] = (
                     S[j]
                     + counted * control_cost(u_t, c)

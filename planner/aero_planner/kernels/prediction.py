@@ -5,7 +5,14 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.kernels.anchors import flown_controls, time_since_plan
-from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step, thrust_axis
+from aero_planner.kernels.dynamics import (
+    lag_shares,
+    lagged_control,
+    mean_lag_shares,
+    rk4_step,
+    thrust_axis,
+    thrust_free_acceleration,
+)
 from aero_planner.kernels.guides import mean_control
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, PreviousPlan
@@ -14,6 +21,8 @@ wp.set_module_options({"enable_backward": False})
 
 _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
+_LARGEST_DISTURBANCE = wp.constant(3.0)
+"""Largest unexplained acceleration that is believed [m/s^2]: the drone may not fly what was planned."""
 
 
 @wp.func
@@ -26,6 +35,23 @@ def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp
     return wp.normalize(nearest + share * (q - nearest))
 
 
+@wp.func
+def updated_disturbance(mean: wp.vec3, unexplained: wp.vec3, since: float, time: float) -> wp.vec3:
+    """Return a mean over `time` [s] of the accelerations that the model does not explain, after `since` [s] more."""
+    largest = wp.max(wp.length(unexplained), _LARGEST_DISTURBANCE)
+    return mean + (1.0 - wp.exp(-since / time)) * ((_LARGEST_DISTURBANCE / largest) * unexplained - mean)
+
+
+@wp.func
+def counted_disturbance(mean: wp.vec3, v: wp.vec3) -> wp.vec3:
+    """Return a disturbance without its component against the velocity, such as drag.
+
+    Drag shortens every stop, and ends with the motion. It is left as a margin.
+    """
+    against = wp.min(wp.dot(mean, v), 0.0) / wp.max(wp.dot(v, v), 1.0e-6)
+    return mean - against * v
+
+
 @wp.kernel
 def predict_state(
     # problem
@@ -36,6 +62,7 @@ def predict_state(
     # in
     previous: PreviousPlan,
     # in and out
+    mean_disturbance: wp.array(dtype=wp.vec3),
     view_quaternion: wp.array(dtype=wp.vec4),
     # out
     start: DroneState,
@@ -43,8 +70,9 @@ def predict_state(
     """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
-    Without a delay the state is copied, with its attitude normalised. `view_quaternion` follows the given attitude.
-    Launched over [B].
+    Without a delay the state is copied, with its attitude normalised. The disturbance is the mean difference of the
+    given accelerations from those of the controls in effect; it is 0 in the first plan, and without an acceleration.
+    `view_quaternion` follows the given attitude. Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -53,6 +81,17 @@ def predict_state(
     q = wp.normalize(drone.quaternion[b])
     acceleration = drone.acceleration[b]
     since = time_since_plan(b, time[b], previous, c)
+    no_disturbance = wp.vec3(0.0, 0.0, 0.0)
+    disturbance = no_disturbance
+    if wp.isnan(acceleration[0]):
+        acceleration = no_disturbance
+    elif c.disturbance_time > 0.0 and since >= 0.0:
+        _command, effective = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
+        modelled = (effective[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
+        disturbance = updated_disturbance(mean_disturbance[b], acceleration - modelled, since, c.disturbance_time)
+    counted = counted_disturbance(disturbance, v)
+    acceleration += counted - disturbance
+    mean_disturbance[b] = disturbance
     view_quaternion[b] = lagged_attitude(q, view_quaternion[b], since, c.view_age)
     if c.delay > 0.0:
         steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
@@ -70,9 +109,10 @@ def predict_state(
                 u = mean_control(b, sent / c.dt, 1.0, c, previous.controls)
             mean = lagged_control(u, acting, mean_shares)
             acting = lagged_control(u, acting, shares)
-            p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, dt)
-        acceleration = (acting[0] / c.mass) * thrust_axis(q) - wp.vec3(0.0, 0.0, c.gravity)
+            p, v, q = rk4_step(p, v, q, mean, c.mass, thrust_free_acceleration(disturbance, c), dt)
+        acceleration = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(counted, c)
     start.position[b] = p
     start.velocity[b] = v
     start.quaternion[b] = q
     start.acceleration[b] = acceleration
+    start.disturbance[b] = counted

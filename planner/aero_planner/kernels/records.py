@@ -45,6 +45,7 @@ class DroneState:
     velocity: wp.array(dtype=wp.vec3)  # [B]
     quaternion: wp.array(dtype=wp.vec4)  # [B], unit, body to world
     acceleration: wp.array(dtype=wp.vec3)  # [B]
+    disturbance: wp.array(dtype=wp.vec3)  # [B], acceleration besides thrust and gravity that plans count on
     control: wp.array(dtype=wp.vec4)  # [B], F_t and omega in effect
     command: wp.array(dtype=wp.vec4)  # [B], F_t and omega commanded
 

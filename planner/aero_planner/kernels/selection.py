@@ -13,7 +13,13 @@ import warp as wp
 from aero_planner.kernels.best_instance import select_best
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit, safety_limit
 from aero_planner.kernels.costs import collision_cost, goal_cost, jump_cost, speed_cost
-from aero_planner.kernels.dynamics import lag_shares, lagged_control, mean_lag_shares, rk4_step
+from aero_planner.kernels.dynamics import (
+    lag_shares,
+    lagged_control,
+    mean_lag_shares,
+    rk4_step,
+    thrust_free_acceleration,
+)
 from aero_planner.kernels.escape import Escape, escape_cost, remember_place
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.movers import Movers, clear_of_movers
@@ -57,6 +63,7 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
             rollouts.velocities[b, m, 0] = v
             rollouts.quaternions[b, m, 0] = q
         acting = drone.control[b]
+        g = thrust_free_acceleration(drone.disturbance[b], c)
         shares = lag_shares(c.dt, c)
         mean_shares = mean_lag_shares(shares, c.dt, c)
         steps = rollouts.controls.shape[2]
@@ -72,7 +79,7 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
                 )  # fmt: skip
                 mean = lagged_control(u, acting, mean_shares)
                 acting = lagged_control(u, acting, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, c.gravity, c.dt)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, g, c.dt)
                 if lane == 0:
                     rollouts.positions[b, m, t + 1] = p
                     rollouts.velocities[b, m, t + 1] = v

@@ -37,6 +37,11 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         "rate_xy_lag does not model it. Plans start from the state that is predicted for it.",
         label="Delay of commands",
     )  # fmt: skip
+    disturbance_time: float = live(
+        0.2, "s", 0.0, 10.0, "Time over which the acceleration that the model does not explain, such as that of gusts, "
+        "is averaged. Plans count on it unless it slows the drone down. 0, as in the paper: no disturbance is assumed.",
+        label="Averaging of disturbances",
+    )  # fmt: skip
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "

@@ -1,0 +1,109 @@
+"""Accelerations that the model does not explain: their estimate, and the plans that count on it."""
+
+import numpy as np
+import pytest
+
+from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
+from aero_planner.kernels.stops import STOPS
+from tests.planner import reference
+from tests.planner.cases import config_of
+from tests.planner.reference import Array
+
+PERIOD = 0.1
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+NO_POINTS = np.zeros((0, 3), np.float32)
+
+
+def thrust_and_gravity(command: Array, config: PlannerConfig) -> Array:
+    """Return the acceleration of a level drone under the command that a plan holds `PERIOD` after its start."""
+    thrust = float(command[int(PERIOD / config.sampling.dt), 0])
+    return np.array([0.0, 0.0, thrust / config.vehicle.mass - config.vehicle.gravity])
+
+
+def plan_in_wind(planner: Planner, wind: Array | None, *, plans: int = 6, velocity: Array | None = None) -> Plan:
+    """Plan for a level drone that `wind` accelerates [m/s^2], in addition to its commands; None: it is not known."""
+    velocity = np.array([2.0, 1.0, 0.0]) if velocity is None else velocity
+    acceleration: Array | None = np.zeros(3)
+    for k in range(plans):
+        state = VehicleState(np.zeros(3), velocity, LEVEL, acceleration, time=PERIOD * k)
+        plan = planner.plan(state, Goal([20.0, 3.0, 1.0]), NO_POINTS)
+        command = np.asarray(plan.command, np.float64)
+        acceleration = None if wind is None else thrust_and_gravity(command, planner.config) + wind
+    return plan  # pyright: ignore[reportPossiblyUnboundVariable]
+
+
+@pytest.mark.parametrize(
+    ("wind", "believed"),
+    [((0.4, -0.2, 0.3), (0.4, -0.2, 0.3)), ((-0.4, 0.1, -0.3), (-0.4, 0.1, -0.3)), ((0.0, 0.0, 12.0), (0.0, 0.0, 3.0))],
+)
+def test_a_disturbance_is_averaged_up_to_what_is_believed(
+    device: str, wind: tuple[float, ...], believed: tuple[float, ...]
+):
+    planner = Planner(config_of(vehicle__disturbance_time=0.3), device=device)
+    plan_in_wind(planner, np.array(wind), plans=6)
+    expected = np.array(believed) * (1.0 - np.exp(-5 * PERIOD / 0.3))
+    np.testing.assert_allclose(planner.workspace.mean_disturbance.numpy()[0], expected, atol=1e-4)
+
+
+def test_plans_do_not_count_on_what_slows_the_drone_down(device: str):
+    planner = Planner(config_of(vehicle__disturbance_time=0.01), device=device)
+    velocity = np.array([3.0, 0.0, 4.0])
+    for wind, counted in (((-1.0, 0.5, 0.0), (-0.64, 0.5, 0.48)), ((1.0, 0.5, 0.0), (1.0, 0.5, 0.0))):
+        planner.reset()
+        plan_in_wind(planner, np.array(wind), velocity=velocity)
+        np.testing.assert_allclose(planner.workspace.disturbance.numpy()[0], counted, atol=1e-3)
+
+
+@pytest.mark.parametrize(("time", "wind", "plans"), [(0.0, np.ones(3), 4), (0.2, None, 4), (0.2, np.ones(3), 1)])
+def test_there_is_no_disturbance_without_an_estimate(device: str, time: float, wind: Array | None, plans: int):
+    """It is switched off, or no acceleration is known, or there is no plan before."""
+    planner = Planner(config_of(vehicle__disturbance_time=time), device=device)
+    plan_in_wind(planner, wind, plans=plans)
+    assert not planner.workspace.mean_disturbance.numpy().any() and not planner.workspace.disturbance.numpy().any()
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05])
+def test_guides_rollouts_and_stops_count_on_it(device: str, delay: float):
+    config = config_of(vehicle__disturbance_time=0.01, vehicle__delay=delay)
+    planner = Planner(config, device=device)
+    plan = plan_in_wind(planner, np.array([0.5, -0.8, 0.6]))
+    work, N = planner.workspace, config.sampling.steps
+    disturbance = work.disturbance.numpy()[0].astype(np.float64)
+    position, velocity, quaternion = (
+        getattr(work, name).numpy()[0].astype(np.float64) for name in ("position", "velocity", "quaternion")
+    )
+    assert np.abs(disturbance).min() > 0.3
+    for m in range(config.anchor_count):
+        forward = reference.rotation(quaternion)[:, 0]
+        yaw = np.arctan2(3.0 - position[1], 20.0 - position[0]) - np.arctan2(forward[1], forward[0])
+        expected = reference.follow_guide(
+            plan.guide_coefficients[m].astype(np.float64), quaternion, yaw / config.horizon, work.command.numpy()[0],
+            work.control.numpy()[0], config, disturbance,
+        )  # fmt: skip
+        np.testing.assert_allclose(work.nominal_controls.numpy()[0, m], expected, atol=0.02)
+        x = reference.roll_out(position, quaternion, velocity, plan.controls[m], config, disturbance=disturbance)
+        np.testing.assert_allclose(plan.positions[m, 1:], x.p, atol=2e-3)
+    m = int(plan.best)
+    controls = np.concatenate((plan.controls[m, : N // 2], work.stop_controls.numpy()[0, m * int(STOPS) + 4]))
+    x = reference.roll_out(position, quaternion, velocity, controls, config, disturbance=disturbance)
+    np.testing.assert_allclose(work.stop_positions.numpy()[0, m * int(STOPS) + 4, 1:], x.p[N // 2 :], atol=4e-3)
+
+
+def test_a_drone_that_brakes_does_not_drift_with_the_wind(device: str):
+    """Braking begins anew in every plan, and takes a horizon each time: without the estimate, the drone rises."""
+    rise = {}
+    for time in (0.0, 0.2):
+        planner = Planner(config_of(vehicle__disturbance_time=time), device=device)
+        config, wind = planner.config.replace({"sampling.dt": PERIOD}), np.array([0.0, 0.0, 0.4])
+        position, velocity, quaternion, acceleration = np.zeros(3), np.array([1.0, 0.0, 0.0]), LEVEL, np.zeros(3)
+        for k in range(25):
+            state = VehicleState(position, velocity, quaternion, acceleration, time=PERIOD * k)
+            plan = planner.plan(state, Goal([20.0, 0.0, 0.0]), NO_POINTS, cloud_age=9.0)  # too old to go on
+            command = np.asarray(plan.command, np.float64)[:1]
+            x = reference.roll_out(position, quaternion, velocity, command, config, disturbance=wind)
+            position, velocity, quaternion = x.p[0], x.v[0], x.q[0]
+            thrust = float(plan.command[int(PERIOD / planner.config.sampling.dt), 0])
+            thrust_acceleration = reference.rotation(quaternion)[:, 2] * thrust / config.vehicle.mass
+            acceleration = thrust_acceleration - [0.0, 0.0, config.vehicle.gravity] + wind
+        rise[time] = position[2], velocity[2]
+    assert rise[0.0][1] > 0.2 and rise[0.2][1] < 0.1 and rise[0.2][0] < 0.5 * rise[0.0][0]
