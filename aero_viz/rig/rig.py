@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.connections import thrust_model
 from aero_planner.onboard.frames import ned_from_world
+from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.livox import CARTESIAN_MM
 from aero_planner.onboard.mavlink_sender import load_dialect
-from aero_planner.onboard.settings import OnboardConfig, config_on_drone
+from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.flight.vehicle import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import Fault

@@ -46,6 +46,7 @@ class PlannerInputs:
     velocity: wp.array = array(wp.vec3, "B", "m/s", "v.")
     quaternion: wp.array = array(wp.vec4, "B", "", "q, w x y z, body to world; need not be normalised.")
     acceleration: wp.array = array(wp.vec3, "B", "m/s^2", "a; NaN: unknown.")
+    disturbance: wp.array = array(wp.vec3, "B", "m/s^2", "a besides thrust and g; NaN: estimated from a.")
     goal_position: wp.array = array(wp.vec3, "B", "m", "p_goal.")
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal; NaN: zero.")
     goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, w x y z; NaN: level, with the nose toward the goal.")

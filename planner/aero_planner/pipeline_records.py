@@ -53,7 +53,7 @@ class PipelineRecords:
                 velocity=arrays.velocity,
                 quaternion=arrays.quaternion,
                 acceleration=arrays.acceleration,
-                disturbance=w.disturbance,
+                disturbance=arrays.disturbance,
                 command=w.command,
                 control=w.control,
             )

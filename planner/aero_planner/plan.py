@@ -21,10 +21,11 @@ class VehicleState:
         position: p [m], shape [3].
         velocity: v [m/s], shape [3].
         quaternion: q, body to world, order w, x, y, z, shape [4]; need not be normalised.
-        acceleration: a [m/s^2], shape [3]; None means unknown: guides begin without any, and no disturbance is
-            estimated, see `vehicle.disturbance_time`.
+        acceleration: a [m/s^2], shape [3]; None means unknown: guides begin without any.
         time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
             `sampling.replan_period` after the previous state.
+        disturbance: acceleration that neither thrust nor gravity explains [m/s^2], shape [3]; None means that the
+            planner estimates it from the acceleration, see `vehicle.disturbance_time`.
     """
 
     position: ArrayLike
@@ -32,6 +33,7 @@ class VehicleState:
     quaternion: ArrayLike
     acceleration: ArrayLike | None = None
     time: ArrayLike | None = None
+    disturbance: ArrayLike | None = None
 
 
 @dataclass(frozen=True, eq=False)

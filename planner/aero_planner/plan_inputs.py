@@ -31,6 +31,7 @@ def check_inputs(
         "velocity": _check("state.velocity", state.velocity, (*batch, 3)),
         "quaternion": _check("state.quaternion", state.quaternion, (*batch, 4)),
         "acceleration": _check("state.acceleration", state.acceleration, (*batch, 3), missing=np.nan),
+        "disturbance": _check("state.disturbance", state.disturbance, (*batch, 3), missing=np.nan),
         "time": _check("state.time", state.time, batch, missing=np.nan, limit=_LARGEST),
         "goal_position": _check("goal.position", goal.position, (*batch, 3)),
         "goal_velocity": _check("goal.velocity", goal.velocity, (*batch, 3), missing=np.nan),

@@ -93,7 +93,7 @@ class Planner:
 
     def _set_input_defaults(self) -> None:
         host = self._inputs.host()
-        for name in ("time", "acceleration", "goal_velocity", "goal_quaternion"):
+        for name in ("time", "acceleration", "disturbance", "goal_velocity", "goal_quaternion"):
             host[name][:] = np.nan
         host["quaternion"][:] = (1.0, 0.0, 0.0, 0.0)
         host["ground_height"][:] = -np.inf

@@ -36,10 +36,9 @@ def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp
 
 
 @wp.func
-def updated_disturbance(mean: wp.vec3, unexplained: wp.vec3, since: float, time: float) -> wp.vec3:
-    """Return a mean over `time` [s] of the accelerations that the model does not explain, after `since` [s] more."""
-    largest = wp.max(wp.length(unexplained), _LARGEST_DISTURBANCE)
-    return mean + (1.0 - wp.exp(-since / time)) * ((_LARGEST_DISTURBANCE / largest) * unexplained - mean)
+def believed_disturbance(d: wp.vec3) -> wp.vec3:
+    """Return a disturbance, shortened to `_LARGEST_DISTURBANCE`."""
+    return (_LARGEST_DISTURBANCE / wp.max(wp.length(d), _LARGEST_DISTURBANCE)) * d
 
 
 @wp.func
@@ -70,9 +69,9 @@ def predict_state(
     """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
-    Without a delay the state is copied, with its attitude normalised. The disturbance is the mean difference of the
-    given accelerations from those of the controls in effect; it is 0 in the first plan, and without an acceleration.
-    `view_quaternion` follows the given attitude. Launched over [B].
+    Without a delay the state is copied, with its attitude normalised. A disturbance that is not given is the mean
+    difference of the given accelerations from those of the controls in effect; it is 0 in the first plan, and without
+    an acceleration. `view_quaternion` follows the given attitude. Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -83,12 +82,17 @@ def predict_state(
     since = time_since_plan(b, time[b], previous, c)
     no_disturbance = wp.vec3(0.0, 0.0, 0.0)
     disturbance = no_disturbance
+    if c.disturbance_time > 0.0:
+        if not wp.isnan(drone.disturbance[b][0]):
+            disturbance = believed_disturbance(drone.disturbance[b])
+        elif not wp.isnan(acceleration[0]) and since >= 0.0:
+            _command, effective = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
+            modelled = (effective[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
+            share = 1.0 - wp.exp(-since / c.disturbance_time)
+            mean_before = mean_disturbance[b]
+            disturbance = mean_before + share * (believed_disturbance(acceleration - modelled) - mean_before)
     if wp.isnan(acceleration[0]):
-        acceleration = no_disturbance
-    elif c.disturbance_time > 0.0 and since >= 0.0:
-        _command, effective = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
-        modelled = (effective[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
-        disturbance = updated_disturbance(mean_disturbance[b], acceleration - modelled, since, c.disturbance_time)
+        acceleration = disturbance
     counted = counted_disturbance(disturbance, v)
     acceleration += counted - disturbance
     mean_disturbance[b] = disturbance

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 _LAG_STEP = 0.01
 """Longest step of the propagation with lags [s]."""
+_MAX_INTERVAL = 0.1
+"""Longest time between two states that are compared [s]."""
 _COMMANDS = 600
 """Commands that are kept, those of 3 s at the highest control rate: no state older than limits.state_age is used."""
 
@@ -47,6 +49,20 @@ class MotionState:
     def speed(self) -> float:
         """Norm of the velocity [m/s]."""
         return float(np.linalg.norm(self.velocity))
+
+
+def compared_interval(previous: VehicleSample, predicted: MotionState | None, sample: VehicleSample) -> float | None:
+    """Return the time between two states [s], None if the second one says nothing about the model.
+
+    Args:
+        previous: The state from which the motion was predicted.
+        predicted: Prediction from the commands for the time of `sample`; without a control, the vehicle did not obey
+            them.
+        sample: The new state.
+    """
+    interval = sample.time - previous.time
+    is_comparable = sample.resets == previous.resets and 0.0 < interval <= _MAX_INTERVAL
+    return interval if is_comparable and predicted is not None and predicted.control is not None else None
 
 
 def acceleration(quaternion: ArrayLike, thrust: float, vehicle: VehicleConfig) -> Array:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.command_choice import Command, CommandChoice
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
+from aero_planner.onboard.disturbance_estimate import DisturbanceEstimate
 from aero_planner.onboard.drift_correction import DriftCorrection
 from aero_planner.onboard.drift_monitor import DriftMonitor
 from aero_planner.onboard.failsafe_process import Failsafe
@@ -112,6 +113,7 @@ class Node:
         self._stop_controller = StopController(self._vehicle, config.brake)
         self._commands = CommandChoice(self._vehicle, config, self.schedule, self._stop_controller)
         self._thrust = ThrustEstimate(self._vehicle, config.thrust)
+        self._disturbance = DisturbanceEstimate(config.response)
         self._drift = DriftMonitor()
         self._drift_correction = DriftCorrection()
         self._watchdog = Watchdog(
@@ -263,7 +265,9 @@ class Node:
                     self.ground.clear()
                     self._drift_correction.clear()
                 if self._sample is not None:
-                    self._thrust.update(self._sample, self._reckoning.at(sample.time), sample)
+                    predicted = self._reckoning.at(sample.time)
+                    self._thrust.update(self._sample, predicted, sample)
+                    self._disturbance.update(self._sample, predicted, sample)
                     self._link.thrust_gain = self._thrust.gain
                 self._sample = sample
                 self._reckoning.correct(sample)
@@ -330,7 +334,10 @@ class Node:
         """Report the end of a tick to planning thread, watchdog and failsafe process."""
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
-            self.snapshot = ControlSnapshot(self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan)
+            self.snapshot = ControlSnapshot(
+                self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan,
+                self._disturbance.acceleration,
+            )  # fmt: skip
         upcoming = self._commands.upcoming(now) if follows_plan else None
         heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._commands.path, self._thrust.gain)
         self._watchdog.report(heartbeat)

@@ -54,6 +54,8 @@ class ControlSnapshot:
     """Command that the drone obeys, shape [4]; None if it does not obey the node."""
     follows_plan: bool
     """True if the command comes from the plan."""
+    disturbance: NDArray[np.float64]
+    """Acceleration besides thrust and gravity [m/s^2], shape [3], world frame."""
 
 
 class Replanner:
@@ -252,8 +254,11 @@ class Replanner:
             motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle, self._response)
         command = self._command_at(motion.time, snapshot)
         control = command if motion.control is None else motion.control
+        disturbance = snapshot.disturbance if vehicle.disturbance_time > 0.0 else np.zeros(3)
         accel = np.zeros(3) if control is None else acceleration(motion.quaternion, float(control[0]), vehicle)
-        return VehicleState(motion.position, motion.velocity, motion.quaternion, accel, motion.time)
+        return VehicleState(
+            motion.position, motion.velocity, motion.quaternion, accel + disturbance, motion.time, disturbance
+        )
 
     def _command_at(self, time: float, snapshot: ControlSnapshot) -> NDArray[np.float64] | None:
         """Return the command that the drone is expected to obey at `time` [s]."""

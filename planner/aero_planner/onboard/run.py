@@ -18,8 +18,9 @@ from aero_planner.onboard.connections import open_lidar, open_link
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import Observer
+from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.node import Node
-from aero_planner.onboard.settings import OnboardConfig, config_on_drone
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.planner import Planner
 

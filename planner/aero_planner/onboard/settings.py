@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config.field_of_view import mounted_view
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
 from aero_planner.sweeps import THINNING
@@ -328,21 +327,6 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
             f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
         )
-
-
-def config_on_drone(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerConfig:
-    """Return the planner's configuration as the node flies it.
-
-    The ground always counts as an obstacle, because a Mid-360 does not see what is below the drone. A field of view
-    with the default values turns with the sensor as it is mounted.
-    """
-    part, default = planner.partition, PlannerConfig().partition
-    view = part.view_min, part.view_max
-    if view == (default.view_min, default.view_max):
-        view = mounted_view(view, roll=onboard.lidar.mount_roll, pitch=onboard.lidar.mount_pitch)
-    return planner.replace({
-        "costs.use_ground": True, "partition.view_min": view[0], "partition.view_max": view[1],
-    })  # fmt: skip
 
 
 def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:

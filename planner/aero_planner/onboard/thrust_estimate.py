@@ -7,7 +7,7 @@ import logging
 import numpy as np
 
 from aero_planner.config import VehicleConfig
-from aero_planner.onboard.dead_reckoning import MotionState
+from aero_planner.onboard.dead_reckoning import MotionState, compared_interval
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.settings import ThrustSettings
 from aero_planner.onboard.thrust import ThrustModel
@@ -21,8 +21,6 @@ _LARGEST = 1.5
 """Largest gain; the smallest is its inverse."""
 _MAX_ERROR = 0.5
 """Largest relative error of a measurement that is accepted."""
-_MAX_INTERVAL = 0.1
-"""Longest time between two states that are compared [s]."""
 _MIN_UPRIGHT = 0.8
 """Smallest vertical share of the thrust with which it is measured: the drag of a tilted vehicle is horizontal."""
 _MIN_THRUST = 0.3
@@ -49,16 +47,9 @@ class ThrustEstimate:
         self._logged = 1.0
 
     def update(self, previous: VehicleSample, predicted: MotionState | None, sample: VehicleSample) -> None:
-        """Compare a state with what was predicted for its time from the previous one.
-
-        Args:
-            previous: The state from which the motion was predicted.
-            predicted: Prediction from the commands; without a control, the vehicle did not obey them.
-            sample: The new state.
-        """
-        interval = sample.time - previous.time
-        is_comparable = sample.resets == previous.resets and 0.0 < interval <= _MAX_INTERVAL
-        if not self._settings.adapt or not is_comparable or predicted is None or predicted.control is None:
+        """Compare a state with what was predicted for its time from the previous one; see `compared_interval`."""
+        interval = compared_interval(previous, predicted, sample)
+        if not self._settings.adapt or interval is None or predicted is None or predicted.control is None:
             return
         lift = float(predicted.control[0]) / self._vehicle.mass
         upright = float(rotate(predicted.quaternion, [0.0, 0.0, 1.0])[2])

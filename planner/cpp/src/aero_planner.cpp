@@ -5,6 +5,7 @@
 #include "version.h"
 #include "warp.h"
 
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -95,7 +96,7 @@ struct aero_planner {
             size_t bytes;
         } expected[] = {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
-            {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
+            {"disturbance", 12}, {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
             {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4},
             {"previous_time", 8}, {"proven_stop_age", 4}, {"place_count", 4}, {"place_goal", 12},
         };
@@ -132,6 +133,7 @@ struct aero_planner {
         put("velocity", state.velocity);
         put("quaternion", state.quaternion);
         put("acceleration", state.acceleration);
+        put("disturbance", std::array<float, 3>{NAN, NAN, NAN}); // estimated from the acceleration
         put("goal_position", goal.position);
         put("goal_velocity", goal.velocity);
         put("goal_quaternion", goal.quaternion);

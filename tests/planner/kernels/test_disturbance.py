@@ -62,6 +62,14 @@ def test_there_is_no_disturbance_without_an_estimate(device: str, time: float, w
     assert not planner.workspace.mean_disturbance.numpy().any() and not planner.workspace.disturbance.numpy().any()
 
 
+def test_a_disturbance_can_be_given(device: str):
+    planner = Planner(config_of(vehicle__disturbance_time=0.2), device=device)
+    for given, believed in (((0.0, 0.3, -0.4), (0.0, 0.3, -0.4)), ((0.0, 0.0, -5.0), (0.0, 0.0, -3.0))):
+        state = VehicleState(np.zeros(3), np.zeros(3), LEVEL, np.ones(3), disturbance=given)
+        planner.plan(state, Goal([20.0, 3.0, 1.0]), NO_POINTS)
+        np.testing.assert_allclose(planner.workspace.disturbance.numpy()[0], believed, atol=1e-6)
+
+
 @pytest.mark.parametrize("delay", [0.0, 0.05])
 def test_guides_rollouts_and_stops_count_on_it(device: str, delay: float):
     config = config_of(vehicle__disturbance_time=0.01, vehicle__delay=delay)

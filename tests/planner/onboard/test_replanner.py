@@ -34,7 +34,7 @@ def hovering(small_planner: Planner, clock: Clock) -> Replanner:
         replanner.add_arrival(sample)
         replanner.add_arrival(PointPacket(packet, np.full(len(packet), clock.now - 0.01)))
         motion = MotionState(clock.now, HOVER, np.zeros(3), LEVEL)
-        assert replanner.plan_once(ControlSnapshot(sample, motion, None, 0.0, None, follows_plan=False)) is None
+        assert replanner.plan_once(ControlSnapshot(sample, motion, None, 0.0, None, False, np.zeros(3))) is None
     return replanner
 
 

@@ -12,7 +12,6 @@ from aero_planner.config.parameter import ParameterInfo
 from aero_planner.onboard.settings import (
     OnboardConfig,
     check_together,
-    config_on_drone,
     format_onboard,
     load_any,
     load_flight_config,
@@ -160,14 +159,3 @@ def test_written_files_explain_every_setting():
     for info in OnboardConfig.parameters():
         assert info.help in text and f"{info.name}: " in text
     assert list(OnboardConfig().to_dict()) == list(OnboardConfig.sections())
-
-
-def test_the_node_turns_the_field_of_view_with_the_sensor_and_avoids_the_ground():
-    inverted = OnboardConfig().replace({"lidar.mount_roll": 180.0})
-    for planner in (PlannerConfig(), PlannerConfig.preset("paper")):
-        flown = config_on_drone(planner, inverted)
-        assert (flown.partition.view_min, flown.partition.view_max) == (-52.0, 7.0)
-        assert flown.costs.use_ground
-    assert config_on_drone(PlannerConfig(), OnboardConfig()) == PlannerConfig()
-    chosen = PlannerConfig().replace({"partition.view_min": -30.0})
-    assert config_on_drone(chosen, inverted) == chosen

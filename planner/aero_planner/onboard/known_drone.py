@@ -1,0 +1,25 @@
+"""Facts that the planner of the node knows: the ground, the field of view, and the delay of commands."""
+
+from __future__ import annotations
+
+from aero_planner.config import PlannerConfig
+from aero_planner.config.field_of_view import mounted_view
+from aero_planner.onboard.settings import OnboardConfig
+
+
+def config_on_drone(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerConfig:
+    """Return the planner's configuration as the node flies it.
+
+    The ground always counts as an obstacle, because a Mid-360 does not see what is below the drone. A field of view
+    with the default values turns with the sensor as it is mounted. A delay of 0 becomes the lag of the body rates,
+    unless the planner models it; latencies are predicted by the node itself.
+    """
+    part, default, vehicle = planner.partition, PlannerConfig().partition, planner.vehicle
+    view = part.view_min, part.view_max
+    if view == (default.view_min, default.view_max):
+        view = mounted_view(view, roll=onboard.lidar.mount_roll, pitch=onboard.lidar.mount_pitch)
+    unmodelled_lag = onboard.response.rate_lag if vehicle.rate_xy_lag == 0.0 else 0.0
+    return planner.replace({
+        "costs.use_ground": True, "partition.view_min": view[0], "partition.view_max": view[1],
+        "vehicle.delay": vehicle.delay or min(unmodelled_lag, 0.5),
+    })  # fmt: skip
