@@ -21,7 +21,7 @@ class VehicleState:
         position: p [m], shape [3].
         velocity: v [m/s], shape [3].
         quaternion: q, body to world, order w, x, y, z, shape [4]; need not be normalised.
-        acceleration: a [m/s^2], shape [3]; None means unknown: guides begin without any.
+        acceleration: a [m/s^2], shape [3], measured; None means unknown: guides begin without any.
         time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
             `sampling.replan_period` after the previous state.
         disturbance: acceleration that neither thrust nor gravity explains [m/s^2], shape [3]; None means that the

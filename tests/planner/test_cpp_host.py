@@ -1,3 +1,4 @@
+import dataclasses
 import os
 import shutil
 import struct
@@ -76,7 +77,8 @@ def ask(example: Path, tmp_path: Path, device: str) -> Callable[..., Outcome]:
 def request(
     state: VehicleState, goal: Sequence[float], points: np.ndarray, age: float = 0.0, ground: float = -np.inf
 ) -> bytes:
-    floats = [state.position, state.velocity, state.quaternion, state.acceleration, goal, [age], [ground]]
+    acceleration = np.full(3, np.nan) if state.acceleration is None else state.acceleration
+    floats = [state.position, state.velocity, state.quaternion, acceleration, goal, [age], [ground]]
     parts = [np.asarray(part, dtype=np.float32).tobytes() for part in floats]
     assert state.time is not None
     head = struct.pack("<d", float(np.asarray(state.time))) + b"".join(parts) + struct.pack("<i", len(points))
@@ -85,6 +87,9 @@ def request(
 
 def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> VehicleState:
     return VehicleState(position, velocity, (1.0, 0.1, 0.0, 0.2), (0.5, 0.0, -0.5), time)
+
+
+FALLING = dataclasses.replace(state_of((0, 0, 2), (1, 0, 0)), acceleration=(0.0, 0.0, -np.inf))
 
 
 def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
@@ -99,6 +104,8 @@ def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Pa
         points = random.uniform(low, high, (int(random.integers(0, POINTS + 1)), 3)).astype(np.float32)
         points[::50] = np.nan
         state = state_of(random.normal(size=3), random.normal(size=3), 0.05 * tick)
+        if tick == 8:
+            state = dataclasses.replace(state, acceleration=None)
         goal, age = [20.0, float(random.normal()), 1.0], 2.0 if tick == 4 else 0.0
         ground = -np.inf if tick % 2 else float(random.normal(-1.0, 0.3))
         plan = planner.plan(state, Goal(goal), points, cloud_age=age, ground_height=ground)
@@ -198,7 +205,8 @@ def test_an_unknown_or_absent_device_is_reported(example: Path, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("requests", "problem"),
     [
-        (request(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position, velocity"),
+        (request(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position or"),
+        (request(FALLING, (20, 0, 2), np.zeros((0, 3))), "the state's acceleration is not finite"),
         (request(state_of((0, 0, 2), (2e6, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "not finite or beyond 1e6"),
         (request(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
         (request(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),

@@ -70,8 +70,8 @@ def predict_state(
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
     Without a delay the state is copied, with its attitude normalised. A disturbance that is not given is the mean
-    difference of the given accelerations from those of the controls in effect; it is 0 in the first plan, and without
-    an acceleration. `view_quaternion` follows the given attitude. Launched over [B].
+    difference of the given accelerations from those of the controls in effect; it is 0 in the first plan, after a
+    horizon without a plan, and without an acceleration. `view_quaternion` follows the given attitude. Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -80,12 +80,13 @@ def predict_state(
     q = wp.normalize(drone.quaternion[b])
     acceleration = drone.acceleration[b]
     since = time_since_plan(b, time[b], previous, c)
+    horizon = float(previous.controls.shape[1]) * c.dt
     no_disturbance = wp.vec3(0.0, 0.0, 0.0)
     disturbance = no_disturbance
     if c.disturbance_time > 0.0:
         if not wp.isnan(drone.disturbance[b][0]):
             disturbance = believed_disturbance(drone.disturbance[b])
-        elif not wp.isnan(acceleration[0]) and since >= 0.0:
+        elif not wp.isnan(acceleration[0]) and since >= 0.0 and since < horizon:
             _command, effective = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
             modelled = (effective[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
             share = 1.0 - wp.exp(-since / c.disturbance_time)
@@ -106,7 +107,6 @@ def predict_state(
             _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
         shares = lag_shares(dt, c)
         mean_shares = mean_lag_shares(shares, dt, c)
-        horizon = float(previous.controls.shape[1]) * c.dt
         for k in range(steps):
             if since >= 0.0 and since < horizon:
                 sent = wp.max(since - c.delay + (float(k) + 0.5) * dt, 0.0)

@@ -20,7 +20,7 @@ typedef struct aero_state {
     float position[3];     /* p [m] */
     float velocity[3];     /* v [m/s] */
     float quaternion[4];   /* q; need not be normalised */
-    float acceleration[3]; /* a [m/s^2] */
+    float acceleration[3]; /* a [m/s^2], measured; all NaN: unknown, and no disturbance is estimated */
 } aero_state;
 
 typedef struct aero_goal {

@@ -190,8 +190,10 @@ struct aero_planner {
         const auto length = [](const float* q) {
             return std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
         };
-        if (!is_in_range(state.position, 3) || !is_in_range(state.velocity, 3) || !is_in_range(state.acceleration, 3))
-            return "the state's position, velocity or acceleration is not finite or beyond 1e6";
+        if (!is_in_range(state.position, 3) || !is_in_range(state.velocity, 3))
+            return "the state's position or velocity is not finite or beyond 1e6";
+        if (!is_omitted(state.acceleration, 3) && !is_in_range(state.acceleration, 3))
+            return "the state's acceleration is not finite or beyond 1e6; give m/s^2, or NaN if it is unknown";
         if (!is_in_range(state.quaternion, 4) || length(state.quaternion) < 1e-6f)
             return "the state's quaternion is not finite or zero; give a unit quaternion in the order w, x, y, z";
         if (std::isinf(state.time))

@@ -62,6 +62,14 @@ def test_there_is_no_disturbance_without_an_estimate(device: str, time: float, w
     assert not planner.workspace.mean_disturbance.numpy().any() and not planner.workspace.disturbance.numpy().any()
 
 
+def test_it_is_forgotten_while_nothing_was_planned(device: str):
+    planner = Planner(config_of(vehicle__disturbance_time=0.2), device=device)
+    plan_in_wind(planner, np.ones(3))
+    late = PERIOD * 5 + planner.config.horizon + 0.1
+    planner.plan(VehicleState(np.zeros(3), np.ones(3), LEVEL, np.ones(3), late), Goal([20.0, 3.0, 1.0]), NO_POINTS)
+    assert not planner.workspace.mean_disturbance.numpy().any()
+
+
 def test_a_disturbance_can_be_given(device: str):
     planner = Planner(config_of(vehicle__disturbance_time=0.2), device=device)
     for given, believed in (((0.0, 0.3, -0.4), (0.0, 0.3, -0.4)), ((0.0, 0.0, -5.0), (0.0, 0.0, -3.0))):
