@@ -56,8 +56,8 @@ def split_change(word: str) -> tuple[str, str]:
 
 def value_of(text: str) -> Any:
     """Return the value of a parameter that a command line states: a truth value, a number or a text."""
-    if text in ("True", "False"):
-        return text == "True"
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
     for kind in (int, float):
         try:
             return kind(text)

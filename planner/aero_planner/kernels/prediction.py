@@ -70,8 +70,9 @@ def predict_state(
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
     Without a delay the state is copied, with its attitude normalised. A disturbance that is not given is the mean
-    difference of the given accelerations from those of the controls in effect; it is 0 in the first plan, after a
-    horizon without a plan, and without an acceleration. `view_quaternion` follows the given attitude. Launched over [B].
+    difference of the given accelerations from those of the controls in effect. It is 0 in the first plan, after a
+    horizon without a plan, and without an acceleration. `view_quaternion` follows the given attitude. Launched over
+    [B].
     """
     b = wp.tid()
     c = params[b]
