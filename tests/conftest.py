@@ -41,9 +41,16 @@ QUICK_DRAWING = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
 
 
-def pytest_collection_finish() -> None:
-    """Exempt what was imported from the garbage collector, which takes a quarter of a second to look through it."""
+@pytest.hookimpl(hookwrapper=True)
+def pytest_collection() -> Iterator[None]:
+    """Import the tests without the garbage collector, and exempt from it what was imported.
+
+    It takes a quarter of a second to look through that, and would do so again and again during the import.
+    """
+    gc.disable()
+    yield
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 
-from aero_planner.cli_util import INTERRUPTED, abandon_output
+from aero_planner.cli_util import INTERRUPTED, abandon_output, quick_imports
 from aero_planner.termination import install_handler
 from aero_viz.errors import UserError
 
@@ -28,15 +28,16 @@ def main(arguments: list[str] | None = None) -> None:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
     install_handler()
     try:
-        from aero_viz.cli.commands import COMMANDS
-        from aero_viz.cli.parser import parse
-        from aero_viz.cli.renamed_flags import replace_renamed_flags
+        with quick_imports() if arguments is None else contextlib.nullcontext():
+            from aero_viz.cli.commands import COMMANDS
+            from aero_viz.cli.parser import parse
+            from aero_viz.cli.renamed_flags import replace_renamed_flags
 
-        current = replace_renamed_flags(sys.argv[1:] if arguments is None else arguments)
-        call = parse(COMMANDS, current, prog="aero-viz", description=_DESCRIPTION)
-        from aero_planner.warp_init import init_warp
+            current = replace_renamed_flags(sys.argv[1:] if arguments is None else arguments)
+            call = parse(COMMANDS, current, prog="aero-viz", description=_DESCRIPTION)
+            from aero_planner.warp_init import init_warp
 
-        init_warp()
+            init_warp()
         call()
         sys.stdout.flush()
     except (UserError, ValueError) as error:

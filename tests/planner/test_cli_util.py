@@ -1,7 +1,10 @@
 """Ctrl-C during the start of `aero-planner` and of other programs."""
 
+import gc
+
 import pytest
 
+from aero_planner.cli_util import quick_imports
 from tests.planner.interruption import interrupted_at_import
 
 START = {
@@ -36,3 +39,10 @@ def test_ctrl_c_while_an_object_is_finalized_is_not_lost(start: str):
     module = "aero_planner.config.file"
     done = interrupted_at_import(module, start, "aero-planner", "config", "show", finalizing=True)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_the_garbage_collector_runs_again_after_the_imports():
+    with pytest.raises(KeyboardInterrupt), quick_imports():
+        assert not gc.isenabled()
+        raise KeyboardInterrupt
+    assert gc.isenabled()
