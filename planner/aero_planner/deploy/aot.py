@@ -6,6 +6,7 @@ takes seconds to start, and every later one a fraction of a second.
 
 from __future__ import annotations
 
+import shutil
 import sys
 import time
 from collections.abc import Iterable, Iterator
@@ -59,9 +60,7 @@ def load_kernels(planner: Planner) -> None:
 @contextmanager
 def kernels_in(folder: str | Path) -> Iterator[Path]:
     """Make Warp keep its kernels in a folder, as with WARP_CACHE_PATH; yields the subfolder that Warp uses."""
-    init_warp()  # Warp then sets its cache folder
-    cache = Path(folder).resolve() / wp.config.version
-    cache.mkdir(parents=True, exist_ok=True)
+    cache = _cache_in(folder)
     before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(cache)
     try:
         yield cache
@@ -74,9 +73,9 @@ def compile_ahead(
 ) -> list[Path]:
     """Compile all kernels into a folder, for this machine's CPU and for CUDA architectures, such as 87 for an Orin.
 
-    No GPU is needed. A process that is started with the folder in the environment variable WARP_CACHE_PATH compiles
-    nothing, if its Warp has the same version. Call this in a new process: kernels that are already loaded are not
-    compiled again.
+    Those for the CPU are copied from Warp's cache, where they may be already. No GPU is needed. A process that is
+    started with the folder in the environment variable WARP_CACHE_PATH compiles nothing, if its Warp has the same
+    version. Call this in a new process: kernels that are already loaded are not loaded again.
 
     Args:
         folder: folder for the binaries; created if it does not exist.
@@ -91,12 +90,44 @@ def compile_ahead(
         ValueError: Warp can't compile for an architecture.
         OSError: the folder can't be written.
     """
-    with kernels_in(folder) as cache:
-        if cpu:
+    cache = _cache_in(folder)
+    if cpu:
+        with _copied_when_loaded(cache):
             warmup(config)
+    with kernels_in(folder):
         for architecture in architectures:
             _compile_for_cuda(architecture)
     return sorted(path for path in cache.rglob("*") if path.suffix in (".o", ".cubin", ".ptx"))
+
+
+def _cache_in(folder: str | Path) -> Path:
+    """Return the subfolder of a cache that this version of Warp uses, after creating it."""
+    init_warp()  # Warp then sets its cache folder
+    cache = Path(folder).resolve() / wp.config.version
+    cache.mkdir(parents=True, exist_ok=True)
+    return cache
+
+
+@contextmanager
+def _copied_when_loaded(folder: Path) -> Iterator[None]:
+    """Copy the kernels for the CPU that Warp loads from its cache into a folder."""
+    load = wp.Module.load
+
+    def load_and_copy(module: Any, device: Any, block_dim: int | None = None, *arguments: Any, **options: Any) -> Any:
+        loaded = load(module, device, block_dim, *arguments, **options)
+        name = module.get_module_identifier(block_dim)
+        if not (folder / name).exists():
+            (folder / name).mkdir()
+            for path in Path(wp.config.kernel_cache_dir or "", name).iterdir():
+                if path.suffix in (".o", ".meta"):
+                    shutil.copyfile(path, folder / name / path.name)
+        return loaded
+
+    wp.Module.load = load_and_copy  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        wp.Module.load = load  # type: ignore[method-assign]
 
 
 def _compile_for_cuda(architecture: int) -> None:

@@ -1,4 +1,5 @@
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,14 @@ import warp as wp
 from aero_planner.deploy.aot import compile_ahead, warmup
 from tests.planner.cases import config_of
 
-AHEAD = "import sys; from aero_planner import compile_ahead; print(*compile_ahead(sys.argv[1]), sep='\\n')"
+AHEAD = """
+import sys
+import warp as wp
+from aero_planner import compile_ahead
+if len(sys.argv) > 2:
+    wp.config.log_level = wp.LOG_DEBUG
+print(*compile_ahead(sys.argv[1]), sep="\\n")
+"""
 PLAN = """
 import warp as wp
 wp.config.log_level = wp.LOG_DEBUG
@@ -28,19 +36,42 @@ def files(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
 
 
-def test_a_planner_needs_no_compiler_with_a_folder_of_kernels(tmp_path: Path):
-    made = subprocess.run([sys.executable, "-c", AHEAD, str(tmp_path)], check=True, capture_output=True, text=True)
-    ahead = files(tmp_path)
+def run(program: str, *arguments: object, cache: Path) -> str:
+    """Run a program whose kernels are cached in a folder; return what it prints."""
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    environment = {**os.environ, "WARP_CACHE_PATH": str(cache)}
+    return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+
+
+@pytest.fixture(scope="module")
+def kernels(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
+    """A folder of kernels that were compiled without a cache, and the files that were reported."""
+    folder = tmp_path_factory.mktemp("kernels")
+    return folder, run(AHEAD, folder, cache=tmp_path_factory.mktemp("empty")).split()
+
+
+def test_a_planner_needs_no_compiler_with_a_folder_of_kernels(kernels: tuple[Path, list[str]]):
+    folder, reported = kernels
+    ahead = files(folder)
     binaries = {name for name in ahead if name.endswith(".o")}
-    assert {str(Path(path).relative_to(tmp_path)) for path in made.stdout.split()} == binaries and len(binaries) > 8
-    done = subprocess.run(
-        [sys.executable, "-c", PLAN], env={**os.environ, "WARP_CACHE_PATH": str(tmp_path)}, check=True,
-        capture_output=True, text=True,
-    )  # fmt: skip
-    assert files(tmp_path) == ahead
-    warming, planning = done.stdout.split("WARM")
+    assert {str(Path(path).relative_to(folder)) for path in reported} == binaries and len(binaries) > 8
+    printed = run(PLAN, cache=folder)
+    assert files(folder) == ahead
+    warming, planning = printed.split("WARM")
     assert warming.count("(cached)") == len(binaries) and "(compiled)" not in warming
     assert LOADED not in planning and planning.endswith("OK\n")
+
+
+def test_kernels_that_are_compiled_already_are_copied(kernels: tuple[Path, list[str]], tmp_path: Path):
+    folder, _ = kernels
+    damaged, *others = sorted(folder.rglob("*.o"))
+    cache = shutil.copytree(folder, tmp_path / "cache")
+    (cache / damaged.relative_to(folder)).write_bytes(b"damaged")
+    printed = run(AHEAD, tmp_path / "copies", "with log", cache=cache)
+    assert printed.count("(compiled)") == 1
+    for path in others:
+        assert (tmp_path / "copies" / path.relative_to(folder)).read_bytes() == path.read_bytes()
+    assert (tmp_path / "copies" / damaged.relative_to(folder)).stat().st_size > 1000
 
 
 def test_warmup_on_every_device(device: str):
