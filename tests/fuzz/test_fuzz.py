@@ -35,6 +35,6 @@ def test_the_harness_finds_what_it_looks_for(worker: Worker, tmp_path: Path):
     text = worker.run("traceback", tmp_path)
     assert text.kind == "traceback" and "ZeroDivisionError" in text.text
     assert worker.run("memory", tmp_path).kind == "memory"
-    assert worker.run("slow", tmp_path).kind == "slow"
+    assert worker.run("slow", tmp_path, seconds_max=0.5).kind == "slow"
     assert worker.run("crash", tmp_path).kind == "crash"
     assert worker.run("unnamed", tmp_path).kind == "unnamed"

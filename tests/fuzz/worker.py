@@ -58,12 +58,12 @@ class Worker:
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
 
-    def run(self, target: str, path: Path) -> Outcome:
-        """Run a target on a file and return how it ended."""
+    def run(self, target: str, path: Path, *, seconds_max: float = SECONDS_MAX) -> Outcome:
+        """Run a target on a file and return how it ended; a case that takes more CPU time [s] is slow."""
         process = self._process or self._start()
         assert process.stdin is not None and process.stdout is not None
         try:
-            process.stdin.write(json.dumps([target, str(path)]) + "\n")
+            process.stdin.write(json.dumps([target, str(path), seconds_max]) + "\n")
             process.stdin.flush()
             has_answered = self._wait(process)
             line = process.stdout.readline() if has_answered else ""
@@ -147,7 +147,7 @@ def _is_out_of_memory(error: BaseException | None) -> bool:
     return False
 
 
-def _run(target: str, path: Path) -> Outcome:
+def _run(target: str, path: Path, seconds_max: float) -> Outcome:
     from fuzz.targets import TARGETS
 
     from aero_viz.errors import UserError
@@ -174,7 +174,7 @@ def _run(target: str, path: Path) -> Outcome:
     seconds, memory = _cpu_time() - start, _status("VmHWM")
     if memory > MEMORY_MAX:
         kind, text = "memory", f"{memory >> 20} MiB; {text}"
-    elif seconds > SECONDS_MAX and kind in ("done", "refused"):
+    elif seconds > seconds_max and kind in ("done", "refused"):
         kind, text = "slow", f"{seconds:.1f} s; {text}"
     digest, remarks = ("", "") if reading is None else (reading.digest, reading.remarks)
     return Outcome(kind, text, round(seconds, 3), memory, digest, log.getvalue() + remarks)
@@ -190,8 +190,8 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     print("ready", file=answers, flush=True)
     for line in sys.stdin:
-        target, path = json.loads(line)
-        outcome = _run(target, Path(path))
+        target, path, seconds_max = json.loads(line)
+        outcome = _run(target, Path(path), seconds_max)
         answers.write(json.dumps(astuple(outcome)) + "\n")
         answers.flush()
 
