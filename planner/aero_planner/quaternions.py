@@ -1,13 +1,15 @@
 """Unit quaternions and rigid transforms in NumPy, for single values and for arrays.
 
 A quaternion is w, x, y, z and rotates body vectors into the world frame. Every function takes any leading shape,
-broadcasts as NumPy does, and computes in float64. Components are written out: for a single vector, `np.cross` and
-`np.stack` take five times as long as the arithmetic, and these functions run in the control loop.
+broadcasts as NumPy does, and computes in float64. Components are written out, and those of a single value are numbers
+of Python: NumPy takes several times as long for them, and these functions run in the control loop.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,14 +24,14 @@ _SMALLEST_SINE = 1e-6
 def multiply(a: ArrayLike, b: ArrayLike) -> Array:
     """Return the Hamilton product a b, shape [.., 4]: the rotation b followed by the rotation a."""
     p, q = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    aw, ax, ay, az = p[..., 0], p[..., 1], p[..., 2], p[..., 3]
-    bw, bx, by, bz = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    result = np.empty((*np.broadcast_shapes(p.shape[:-1], q.shape[:-1]), 4))
-    result[..., 0] = aw * bw - ax * bx - ay * by - az * bz
-    result[..., 1] = aw * bx + ax * bw + ay * bz - az * by
-    result[..., 2] = aw * by - ax * bz + ay * bw + az * bx
-    result[..., 3] = aw * bz + ax * by - ay * bx + az * bw
-    return result
+    (aw, ax, ay, az), (bw, bx, by, bz) = _components(p), _components(q)
+    product = (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+    return _joined(product, p, q)
 
 
 def conjugate(quaternion: ArrayLike) -> Array:
@@ -43,14 +45,10 @@ def rotate(quaternion: ArrayLike, vector: ArrayLike) -> Array:
     With q = (w, u): R(q) v = v + w t + u x t, where t = 2 u x v.
     """
     q, v = np.asarray(quaternion, dtype=np.float64), np.asarray(vector, dtype=np.float64)
-    w, x, y, z = q[..., 0], q[..., 1], q[..., 2], q[..., 3]
-    a, b, c = v[..., 0], v[..., 1], v[..., 2]
+    (w, x, y, z), (a, b, c) = _components(q), _components(v)
     ta, tb, tc = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
-    result = np.empty((*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), 3))
-    result[..., 0] = a + w * ta + (y * tc - z * tb)
-    result[..., 1] = b + w * tb + (z * ta - x * tc)
-    result[..., 2] = c + w * tc + (x * tb - y * ta)
-    return result
+    turned = (a + w * ta + (y * tc - z * tb), b + w * tb + (z * ta - x * tc), c + w * tc + (x * tb - y * ta))
+    return _joined(turned, q, v)
 
 
 def rotation_matrix(quaternion: ArrayLike) -> Array:
@@ -89,7 +87,7 @@ def slerp(a: ArrayLike, b: ArrayLike, fraction: ArrayLike) -> Array:
 def integrate_rates(quaternion: ArrayLike, rates: ArrayLike, time: float) -> Array:
     """Return the attitude [4] after turning at constant body rates [3] [rad/s] for `time` [s], possibly negative."""
     rates = np.asarray(rates, dtype=np.float64)
-    speed = float(np.linalg.norm(rates))
+    speed = math.sqrt(rates.dot(rates))
     half = 0.5 * speed * time
     axis = rates / speed if speed > 0.0 else np.zeros(3)
     return multiply(quaternion, [math.cos(half), *(math.sin(half) * axis)])
@@ -135,3 +133,18 @@ def invert_transform(position: ArrayLike, quaternion: ArrayLike) -> tuple[Array,
     """Return position [.., 3] and quaternion [.., 4] of the inverse of x -> R(q) x + p."""
     inverse = conjugate(quaternion)
     return -rotate(inverse, position), inverse
+
+
+def _components(value: Array) -> Sequence[Any]:
+    """Return the components of the last axis: numbers for a single value, which Python handles faster than NumPy."""
+    return value.tolist() if value.ndim == 1 else [value[..., k] for k in range(value.shape[-1])]
+
+
+def _joined(components: Sequence[Any], a: Array, b: Array) -> Array:
+    """Return an array of components that were computed from `a` and `b`."""
+    if a.ndim == b.ndim == 1:
+        return np.array(components)
+    result = np.empty((*np.broadcast_shapes(a.shape[:-1], b.shape[:-1]), len(components)))
+    for k, component in enumerate(components):
+        result[..., k] = component
+    return result
