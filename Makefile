@@ -51,10 +51,13 @@ test-lowest-files: setup-dev
 test-lowest-clock: setup-dev
 	@$(PYTHON_BIN) scripts/lowest.py $(THREE_TESTS) $(filter tests/planner/%,$(CLOCK))
 
+# With the usual 16 MB for short-lived objects, Node's garbage collector takes a tenth of the time.
+ROOMY := --max-semi-space-size=64
+
 check: setup-dev  ## check style, types, and the direction of imports
 	.venv/bin/ruff check .
 	.venv/bin/ruff format --check .
-	.venv/bin/pyright
+	NODE_OPTIONS=$(ROOMY) .venv/bin/pyright
 	.venv/bin/lint-imports
 
 format: setup-dev  ## apply the project's style to the sources
