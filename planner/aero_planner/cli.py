@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import json
 import os
 import sys
@@ -16,7 +17,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version
+from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version, quick_imports
 from aero_planner.termination import install_handler
 
 if TYPE_CHECKING:
@@ -54,6 +55,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if options.command is None:
             parser.print_help()
             return 2
+        if arguments is None and options.module is not None:
+            with quick_imports():
+                importlib.import_module(options.module)
         code = options.call(options)
         sys.stdout.flush()
         return code
@@ -72,6 +76,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     epilog = f"Commands of other packages: {', '.join(added_commands)}." if added_commands else None
     parser = argparse.ArgumentParser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
     parser.add_argument("--version", action="version", version=f"aero-planner {installed_version('aero-planner')}")
+    parser.set_defaults(module=None)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
 
     files = argparse.ArgumentParser(add_help=False)
@@ -102,7 +107,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     run.add_argument("--seed", type=int, default=0, help="seed of the planner's noise (default: 0)")
     run.add_argument("--threads", type=int, help="CPU threads of the planner (default: one per usable core)")
     run.add_argument("--json", action="store_true", help="print statistics as one JSON object at the end")
-    run.set_defaults(call=_run)
+    run.set_defaults(call=_run, module="aero_planner.onboard.run")
 
     preflight = commands.add_parser(
         "preflight", parents=[flight], help="check that everything is ready to fly", description=_preflight.__doc__
@@ -114,7 +119,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     preflight.add_argument(
         "--set", action="store_true", help="offer to write the PX4 parameters that should have other values"
     )
-    preflight.set_defaults(call=_preflight)
+    preflight.set_defaults(call=_preflight, module="aero_planner.onboard.preflight")
 
     export = commands.add_parser("export", help="compile for a drone that has no compiler", description=_export.__doc__)
     export.add_argument("out", metavar="OUT[.tar]", help="folder or tar file to write")
