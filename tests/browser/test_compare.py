@@ -6,7 +6,7 @@ import numpy as np
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import palette
-from tests.browser.desk import open_desk
+from tests.browser.desk import COARSE, open_desk
 from tests.browser.pictures import count
 
 
@@ -66,7 +66,8 @@ def test_a_recording_is_planned_with_both_configurations(browser):
     from aero_viz.catalog import open_source, shipped_recordings
 
     path, _ = shipped_recordings()["room_mid360"]
-    with open_desk(browser, open_source(str(path)), ticks=3, config=small_config(), layers=["alternative"]) as desk:
+    source, config = open_source(str(path)), small_config()
+    with open_desk(browser, source, ticks=3, config=config, resolution=COARSE, layers=["alternative"]) as desk:
         session: Any = desk.session
         desk.open_tab("Tune")
         desk.click("Compare: pin as A")
