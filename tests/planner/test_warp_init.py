@@ -8,6 +8,7 @@ COMMAND = """
 import sys
 import warp as wp
 {level}
+wp.config.use_precompiled_headers = False  # which take longer than a single kernel
 from aero_planner.warp_init import init_warp
 
 init_warp()
