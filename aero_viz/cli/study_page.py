@@ -12,6 +12,7 @@ from collections.abc import Callable
 from functools import partial
 from multiprocessing.process import BaseProcess
 
+from aero_planner.cli_util import quick_imports
 from aero_viz.cli.serving import StudyFlags, shutdown_event
 from aero_viz.errors import UserError
 
@@ -60,6 +61,8 @@ def _run(serve: Callable[[], None]) -> None:
     threading.Thread(target=_follow_parent, daemon=True).start()
     with contextlib.redirect_stdout(sys.stderr):
         try:
+            with quick_imports():
+                import aero_viz.dashboard  # noqa: F401
             serve()
         except UserError as error:
             print(f"aero-viz: {error} The search goes on without the page.")
