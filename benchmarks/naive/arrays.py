@@ -39,6 +39,7 @@ class Arrays:
     velocity: wp.array(dtype=wp.vec3)
     quaternion: wp.array(dtype=wp.vec4)
     acceleration: wp.array(dtype=wp.vec3)
+    disturbance: wp.array(dtype=wp.vec3)
     goal_position: wp.array(dtype=wp.vec3)
     goal_velocity: wp.array(dtype=wp.vec3)
     goal_quaternion: wp.array(dtype=wp.vec4)

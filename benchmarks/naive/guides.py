@@ -25,6 +25,8 @@ def write_guide(a: Arrays, b: int, m: int, p1: wp.vec3, v1: wp.vec3, dt: float):
     p0 = a.position[b]
     v0 = a.velocity[b]
     a0 = a.acceleration[b]
+    if wp.isnan(a0[0]):
+        a0 = wp.vec3(0.0, 0.0, 0.0)
     steps = a.nominal.shape[2]
     T = float(steps) * dt
     dp = p1 - p0 - T * v0 - 0.5 * T * T * a0

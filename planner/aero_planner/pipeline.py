@@ -40,7 +40,8 @@ PLAN_AND_ARRIVAL = "plan and arrival"
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     """Return every kernel made for a tuning, for one drone and for many, and the block size of its launches."""
     many = tuning.for_batch(1024)
-    return [
+    for_cpu = [(stops.prove_stops(many), 256), (sample_clearance.query_sample_vectors(tuning), 256)]
+    return ([] if tuning.is_cuda else for_cpu) + [
         (partition.scatter_points(tuning), 256),
         (clearance.fill_rows(tuning), 256),
         (guides.make_guides(tuning), 32),

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.cli import main
+from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.settings import OnboardConfig, load_flight_config
 from tests.planner.onboard.test_stderr import fill
 
@@ -196,7 +197,7 @@ def test_a_node_starts_waits_and_ends(flight_file: Path, tmp_path: Path):
     with (tmp_path / logs[0]).open("rb") as file:
         flown = {item.name: item.data.decode() for item in make_reader(file).iter_attachments()}["config_0.yaml"]
     (tmp_path / "flown.yaml").write_text(flown)
-    assert load_flight_config(tmp_path / "flown.yaml")[0] == load_flight_config(flight_file)[0]
+    assert load_flight_config(tmp_path / "flown.yaml")[0] == config_on_drone(*load_flight_config(flight_file))
 
 
 def test_the_node_avoids_the_ground_even_where_the_configuration_does_not(

@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner.config import PlannerConfig
-from aero_planner.kernels.kernel_tuning import CUDA
+from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.pipeline import tuned_kernels
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
@@ -92,8 +92,8 @@ def compile_ahead(
     """
     cache = _cache_in(folder)
     if cpu:
-        with _copied_when_loaded(cache):
-            warmup(config)
+        warmup(config)
+        _copy_kernels_for_cpu(cache)
     with kernels_in(folder):
         for architecture in architectures:
             _compile_for_cuda(architecture)
@@ -108,26 +108,16 @@ def _cache_in(folder: str | Path) -> Path:
     return cache
 
 
-@contextmanager
-def _copied_when_loaded(folder: Path) -> Iterator[None]:
-    """Copy the kernels for the CPU that Warp loads from its cache into a folder."""
-    load = wp.Module.load
-
-    def load_and_copy(module: Any, device: Any, block_dim: int | None = None, *arguments: Any, **options: Any) -> Any:
-        loaded = load(module, device, block_dim, *arguments, **options)
-        name = module.get_module_identifier(block_dim)
-        if not (folder / name).exists():
-            (folder / name).mkdir()
-            for path in Path(wp.config.kernel_cache_dir or "", name).iterdir():
-                if path.suffix in (".o", ".meta"):
-                    shutil.copyfile(path, folder / name / path.name)
-        return loaded
-
-    wp.Module.load = load_and_copy  # type: ignore[method-assign]
-    try:
-        yield
-    finally:
-        wp.Module.load = load  # type: ignore[method-assign]
+def _copy_kernels_for_cpu(folder: Path) -> None:
+    """Copy the kernels for the CPU that this process has loaded from Warp's cache into a folder."""
+    for module in {*_written_modules(), *(kernel.module for kernel, _ in tuned_kernels(CPU))}:
+        for context, block_dim in module.execs:
+            if context is None:  # that of the CPU
+                name = module.get_module_identifier(block_dim)
+                (folder / name).mkdir(exist_ok=True)
+                for path in Path(wp.config.kernel_cache_dir or "", name).iterdir():
+                    if path.suffix in (".o", ".meta"):
+                        shutil.copyfile(path, folder / name / path.name)
 
 
 def _compile_for_cuda(architecture: int) -> None:
@@ -148,8 +138,12 @@ def _compile_for_cuda(architecture: int) -> None:
 
 def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:
     """Yield every Warp module of the package, including generated ones for CUDA, with its CUDA block sizes."""
+    yield from ((module, _BLOCK_DIMS) for module in _written_modules())
+    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in tuned_kernels(CUDA))
+
+
+def _written_modules() -> list[Any]:
+    """Return the Warp modules of the package's kernels, without those that are generated for a tuning."""
     names = [name for name in sys.modules if name.startswith("aero_planner.")]
     content = {id(value): value for name in names for value in vars(sys.modules[name]).values()}.values()
-    written = {id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}
-    yield from ((module, _BLOCK_DIMS) for module in written.values())
-    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in tuned_kernels(CUDA))
+    return list({id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}.values())
