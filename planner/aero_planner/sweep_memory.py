@@ -119,14 +119,14 @@ class SweepMemory:
         if sweeps is self._held and self._is_motion_known:
             return
         self.finish_change()
-        self._wait_for_copies()
+        self._open_table()
         first_new = self._next_number
         if sweeps is not self._held:
             self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
         for i, change in enumerate(self._list_changes(first_new, sweeps.thinned)):
             if i > 0:
                 self.finish_change()
-                self._wait_for_copies()
+                self._open_table()
             self._start_change(change)
         if not sweeps:
             self._motion.forget()
@@ -173,8 +173,7 @@ class SweepMemory:
         return changes + rest or [_Change(-1, newest, oldest, -1, recent, *_UNKNOWN_ARRIVAL)]
 
     def _start_change(self, change: _Change) -> None:
-        """Copy a change to the device, with the table; its launches are then due."""
-        self._mark_ordered()
+        """Copy a change to the device, with the open table; its launches are then due."""
         host = self._table.host()
         host["change"][0] = change
         # Until its points are ordered, a plan reads a sweep in whole, with the same result.
@@ -187,15 +186,15 @@ class SweepMemory:
             self._device.stream.record_event(self._copied)
         self._is_change_due = True
 
-    def _mark_ordered(self) -> None:
-        """Note on the host which sweeps the device has ordered."""
-        self._table.host()["is_ordered"][self._unordered] = 1
-        self._unordered = []
+    def _open_table(self) -> None:
+        """Wait until pinned memory may be written again, and note which sweeps the device has ordered meanwhile.
 
-    def _wait_for_copies(self) -> None:
-        """Wait until pinned memory may be written again. That was long ago, unless sweeps arrive without plans."""
+        The copies ended long ago, unless sweeps arrive without plans.
+        """
         if self._copied is not None:
             wp.synchronize_event(self._copied)
+        self._table.host()["is_ordered"][self._unordered] = 1
+        self._unordered = []
 
     def _take_over(self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...], thinned: int) -> None:
         """Drop the sweeps that left and copy those that arrived; `thinned` is the number of sweeps to thin."""
@@ -231,7 +230,7 @@ class SweepMemory:
         self.finish_change()
         place: Any = self.arrays.points[:, start : start + size]
         wp.copy(place, points)
-        self._wait_for_copies()
+        self._open_table()
         host = self._table.host()
         host["count"][:, row], host["start"][row] = size, start
         number, whole = self._next_number, self._whole or S
