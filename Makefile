@@ -1,5 +1,5 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-delicate test-clock test-untimed test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-delicate test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 # The tests start hundreds of programs. Each would compile all that it imports, which takes longer than most of the tests.
@@ -9,8 +9,8 @@ unexport PYTHONDONTWRITEBYTECODE
 BROWSER := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py
 CLOCK := tests/session/test_node_client.py tests/session/test_live_session.py \
 	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
-# Tests that compile most of the time or fly benchmarks, and watch no clock: as many as run in the time of the browser's.
-UNTIMED := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_host.py tests/evaluation
+# Tests that compile most of the time, and watch no clock.
+COMPILING := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_host.py
 # A busy machine can delay a browser or a clock beyond what a test waits for: at most three of them get a second attempt.
 SECOND_ATTEMPT := --reruns 1 --max-suite-reruns 3 --rerun-show-tracebacks
 TWO_FILES := -n 2 --dist loadfile --no-loadscope-reorder
@@ -30,8 +30,8 @@ demo: setup      ## fly through the forest in the browser
 	@.venv/bin/aero-viz demo $(ARGS)
 
 test: setup-dev  ## run all checks and tests
-	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(OTHERS) $(addprefix --ignore=,$(UNTIMED)))
-	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files,test-untimed $(MAKE) test-delicate)
+	$(PYTHON_BIN) scripts/beside.py check $(PYTHON_BIN) -m pytest $(or $(ARGS),$(OTHERS) $(addprefix --ignore=,$(COMPILING)))
+	$(if $(ARGS),,$(PYTHON_BIN) scripts/beside.py test-lowest-files,test-compiling $(MAKE) test-delicate)
 
 test-delicate:
 	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(BROWSER)
@@ -40,8 +40,8 @@ test-delicate:
 test-clock:
 	$(PYTHON_BIN) -m pytest $(SECOND_ATTEMPT) $(THREE_TESTS) $(CLOCK)
 
-test-untimed:
-	$(PYTHON_BIN) -m pytest $(TWO_FILES) $(UNTIMED)
+test-compiling:
+	$(PYTHON_BIN) -m pytest $(TWO_FILES) $(COMPILING)
 
 test-lowest: test-lowest-files $(if $(ARGS),,test-lowest-clock)  ## run the planner's tests with the lowest versions that its wheel allows
 
