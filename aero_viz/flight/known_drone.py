@@ -26,11 +26,10 @@ def config_for_drone(
     default = PlannerConfig()
     roll, pitch, _ = lidar.mount_angles
     view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
-    unmodelled_lag = vehicle.rate_lag if config.vehicle.rate_xy_lag == 0.0 else 0.0
     known = {
         "partition.view_min": view[0],
         "partition.view_max": view[1],
-        "vehicle.delay": min(vehicle.latency + unmodelled_lag, 0.5),
+        "vehicle.delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
     }
     if world is not None and config.costs.use_ground:
         known["costs.height_max"] = float(world.bounds[1, 2])

@@ -82,14 +82,16 @@ def predict_state(
     acceleration = drone.acceleration[b]
     since = time_since_plan(b, time[b], previous, c)
     horizon = float(previous.controls.shape[1]) * c.dt
+    acting = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+    if since >= 0.0:
+        _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
     no_disturbance = wp.vec3(0.0, 0.0, 0.0)
     disturbance = no_disturbance
     if c.disturbance_time > 0.0:
         if not wp.isnan(drone.disturbance[b][0]):
             disturbance = believed_disturbance(drone.disturbance[b])
         elif not wp.isnan(acceleration[0]) and since >= 0.0 and since < horizon:
-            _command, effective = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
-            modelled = (effective[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
+            modelled = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
             share = 1.0 - wp.exp(-since / c.disturbance_time)
             mean_before = mean_disturbance[b]
             disturbance = mean_before + share * (believed_disturbance(acceleration - modelled) - mean_before)
@@ -103,9 +105,6 @@ def predict_state(
         steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
         dt = c.delay / float(steps)
         u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
-        acting = u
-        if since >= 0.0:
-            _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
         shares = lag_shares(dt, c)
         mean_shares = mean_lag_shares(shares, dt, c)
         for k in range(steps):

@@ -18,8 +18,7 @@ def config_on_drone(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerCo
     view = part.view_min, part.view_max
     if view == (default.view_min, default.view_max):
         view = mounted_view(view, roll=onboard.lidar.mount_roll, pitch=onboard.lidar.mount_pitch)
-    unmodelled_lag = onboard.response.rate_lag if vehicle.rate_xy_lag == 0.0 else 0.0
     return planner.replace({
         "costs.use_ground": True, "partition.view_min": view[0], "partition.view_max": view[1],
-        "vehicle.delay": vehicle.delay or min(unmodelled_lag, 0.5),
+        "vehicle.delay": vehicle.delay or vehicle.unmodelled_delay(rate_lag=onboard.response.rate_lag),
     })  # fmt: skip

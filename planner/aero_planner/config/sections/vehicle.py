@@ -51,3 +51,10 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         50.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. 50 m/s: no limit, "
         "as in the paper.",
     )  # fmt: skip
+
+    def unmodelled_delay(self, *, rate_lag: float, latency: float = 0.0) -> float:
+        """Return the delay [s] with which to plan for a drone with a lag of its body rates and a latency [s].
+
+        The lag is left out if `rate_xy_lag` models it.
+        """
+        return min(latency + (rate_lag if self.rate_xy_lag == 0.0 else 0.0), 0.5)
