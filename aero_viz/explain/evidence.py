@@ -208,8 +208,8 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     i, o, w, config = planner.inputs, planner.outputs, planner.workspace, planner.config
     if not planner.device.startswith("cpu"):
         return w.stop_clearance.numpy()[0].astype(np.float64)
-    state = {name: getattr(w, name) for name in ("position", "velocity", "quaternion", "acceleration", "disturbance")}
-    drone = bundle(DroneState, **state, command=w.command, control=w.control)
+    names = ("position", "velocity", "quaternion", "acceleration", "disturbance", "drag", "command", "control")
+    drone = bundle(DroneState, **{name: getattr(w, name) for name in names})
     moving = {name: getattr(o, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
     movers = bundle(Movers, **moving)
     names = ("controls", "positions", "velocities", "quaternions")

@@ -16,6 +16,7 @@ from benchmarks.naive.arrays import allocate, connect
 NEUTRAL: dict[str, Value] = {
     "vehicle.delay": 0.0,
     "vehicle.disturbance_time": 0.0,
+    "vehicle.drag_time": 0.0,
     "partition.range_time": 0.0,
     "partition.continue_below": 0.0,
     "partition.continue_above": 0.0,

@@ -31,6 +31,8 @@ class History:
     """Number of plans so far, which selects the noise, shape [B]."""
     mean_disturbance: NDArray[np.float32]
     """Mean acceleration that the model does not explain [m/s^2], shape [B, 3], world frame."""
+    drag_means: NDArray[np.float32]
+    """Means of -a v and of v^2, the ratio of which is the drag; a is not explained by the model, shape [B, 2]."""
     view_quaternion: NDArray[np.float32]
     """Attitude at the previous plan, body to world, that lags by `view_age` on average, shape [B, 4]."""
     stop: NDArray[np.float32]
@@ -79,6 +81,6 @@ def _arrays(work: Workspace) -> list[wp.array]:
     """Return the arrays of a `History`, in the order of its fields."""
     return [
         work.previous_controls, work.previous_start_control, work.previous_end, work.previous_waypoint,
-        work.previous_time, work.tick, work.mean_disturbance, work.view_quaternion, work.proven_stop,
+        work.previous_time, work.tick, work.mean_disturbance, work.drag_means, work.view_quaternion, work.proven_stop,
         work.proven_stop_age, work.places, work.place_count, work.place_goal, work.place_nearest, work.place_idle,
     ]  # fmt: skip

@@ -145,7 +145,7 @@ class Pipeline(LaunchSequence):
             prediction.predict_state,
             (self._sizes.B,),
             inputs=[r.given_drone, self._inputs.time, self._params, r.previous],
-            outputs=[self._work.mean_disturbance, self._work.view_quaternion, r.drone],
+            outputs=[self._work.mean_disturbance, self._work.drag_means, self._work.view_quaternion, r.drone],
         )
 
     def _place_movers(self) -> Callable[[], Any]:

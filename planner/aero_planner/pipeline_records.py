@@ -54,6 +54,7 @@ class PipelineRecords:
                 quaternion=arrays.quaternion,
                 acceleration=arrays.acceleration,
                 disturbance=arrays.disturbance,
+                drag=w.drag,
                 command=w.command,
                 control=w.control,
             )

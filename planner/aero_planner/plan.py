@@ -25,7 +25,7 @@ class VehicleState:
         time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
             `sampling.replan_period` after the previous state.
         disturbance: acceleration that neither thrust nor gravity explains [m/s^2], shape [3]; None means that the
-            planner estimates it from the acceleration, see `vehicle.disturbance_time`.
+            planner estimates it from the acceleration. Drag is a part of it, see `vehicle.drag_time`.
     """
 
     position: ArrayLike

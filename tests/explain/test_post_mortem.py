@@ -133,7 +133,7 @@ def test_a_fast_obstacle_is_named_with_its_speed():
 
 def test_an_obstacle_that_comes_out_from_behind_another_was_occluded():
     """It moves across the way of the drone, behind a wall that ends beside the way."""
-    pillar, motion = [[9.0, -6.0, 0, 0, 0, 1, 0.5, 8]], [[0.0, 3.0, 40.0]]
+    pillar, motion = [[9.0, -6.0, 0, 0, 0, 1, 0.5, 8]], [[0.0, 3.2, 40.0]]
     content = {"name": "test", "start": [0, 0, 2], "goal": [25, 0, 2], "cylinders": pillar, "motion": motion}
     world = World.from_dict({**content, "boxes": [GROUND, [8.0, -5.8, 4, 0.2, 10, 8, 0]]})
     config = OPEN_ABOVE.replace(
@@ -198,7 +198,7 @@ def test_a_stale_cloud_is_named_as_the_cause_of_a_stall(standing):
     [
         ([9.0, 0.0, 2.0], "occluded", "hidden by box 1"),
         ([-30.0, 0.0, 2.0], "beyond range", "beyond the range of 10 m"),
-        ([0.0, 0.0, 9.0], "outside the field of view", "which sees -7 to 52 deg"),
+        ([0.0, 0.0, 12.0], "outside the field of view", "which sees -7 to 52 deg"),
     ],
 )
 def test_a_place_that_was_not_seen_has_a_reason(standing, place, reason, words):

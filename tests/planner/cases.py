@@ -12,7 +12,7 @@ from aero_planner.config import Value
 from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 from tests.planner.reference import Array, rotation, unit
 
-SMALL: dict[str, Value] = {"sampling.samples": 16, "vehicle.disturbance_time": 0.0}
+SMALL: dict[str, Value] = {"sampling.samples": 16, "vehicle.disturbance_time": 0.0, "vehicle.drag_time": 0.0}
 """Few samples keep tests fast; only statistics depend on K. Cases do not follow each other as the states of a drone do,
 so that the differences of their accelerations from those of the last plan are no disturbances."""
 

@@ -142,20 +142,20 @@ def sample_guide(coefficients: Array, times: Array) -> Array:
 NO_DISTURBANCE = np.zeros(3)
 
 
-def derivative(x: Array, u: Array, config: PlannerConfig, disturbance: Array = NO_DISTURBANCE) -> Array:
-    """Return dx/dt of x = [p, q, v] under u = (F_t, omega) and a disturbance [m/s^2]."""
+def derivative(x: Array, u: Array, config: PlannerConfig, disturbance: Array, drag: float) -> Array:
+    """Return dx/dt of x = [p, q, v] under u = (F_t, omega), a disturbance [m/s^2] and drag [1/s]."""
     q, v = x[3:7], x[7:]
-    dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity] + disturbance
+    dv = rotation(q)[:, 2] * u[0] / config.vehicle.mass - [0, 0, config.vehicle.gravity] + disturbance - drag * v
     return np.concatenate((v, 0.5 * quat_multiply(q, np.concatenate(([0.0], u[1:]))), dv))
 
 
-def rk4(x: Array, u: Array, config: PlannerConfig, disturbance: Array = NO_DISTURBANCE) -> Array:
+def rk4(x: Array, u: Array, config: PlannerConfig, disturbance: Array = NO_DISTURBANCE, drag: float = 0.0) -> Array:
     """Return the state after dt, with q renormalised."""
     h = config.sampling.dt
-    k1 = derivative(x, u, config, disturbance)
-    k2 = derivative(x + h / 2 * k1, u, config, disturbance)
-    k3 = derivative(x + h / 2 * k2, u, config, disturbance)
-    k4 = derivative(x + h * k3, u, config, disturbance)
+    k1 = derivative(x, u, config, disturbance, drag)
+    k2 = derivative(x + h / 2 * k1, u, config, disturbance, drag)
+    k3 = derivative(x + h / 2 * k2, u, config, disturbance, drag)
+    k4 = derivative(x + h * k3, u, config, disturbance, drag)
     x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     x[3:7] = unit(x[3:7])
     return x
@@ -192,13 +192,14 @@ def roll_out(
     config: PlannerConfig,
     control: Array | None = None,
     disturbance: Array = NO_DISTURBANCE,
+    drag: float = 0.0,
 ) -> Rollout:
     """Return the states under commands; `control` is in effect at first, hover by default, and lags behind them."""
     x, states = np.concatenate((position, unit(quaternion), velocity)), []
     control = hover(config) if control is None else control
     for command in controls.astype(np.float64):
         mean, control = follow(control, command, config.sampling.dt, config)
-        x = rk4(x, mean, config, disturbance)
+        x = rk4(x, mean, config, disturbance, drag)
         states.append(x)
     x = np.array(states)
     return Rollout(x[:, :3], x[:, 3:7], x[:, 7:])
@@ -212,6 +213,7 @@ def follow_guide(
     control: Array,
     config: PlannerConfig,
     disturbance: Array = NO_DISTURBANCE,
+    drag: float = 0.0,
 ) -> Array:
     """Return the nominal controls of an anchor, shape [N, 4], from the coefficients of its guide, shape [3, 6].
 
@@ -222,8 +224,9 @@ def follow_guide(
     limits = np.array([v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
 
     def force(s: float) -> Array:
+        velocity = coefficients[:, 1:] @ [k * s ** (k - 1) for k in range(1, 6)]
         acceleration = coefficients[:, 2:] @ [k * (k - 1) * s ** (k - 2) for k in range(2, 6)]
-        return v.mass * (np.add(acceleration, [0.0, 0.0, v.gravity]) - disturbance)
+        return v.mass * (np.add(acceleration, [0.0, 0.0, v.gravity]) - disturbance + drag * velocity)
 
     for t in range(N):
         x, y, z = rotation(q).T @ unit(force(min((t + 1) * dt + lead, N * dt)))

@@ -26,8 +26,8 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     options = SensorLogOptions(every=3, imu=True, plan_period=None, hover=0.5, duration=2.0)
     rules = FlightRules(period=0.005, ticks_per_plan=4)
-    # Errors differ from flight to flight: what the planner prefers by default must not decide about the limits below.
-    config = PlannerConfig().replace({"costs.waypoint_distance": 3.0, "escape.patience": 0.3})
+    # Errors differ from flight to flight: a preset that does not follow the default keeps the limits below valid.
+    config = PlannerConfig.preset("px4").replace({"costs.waypoint_distance": 3.0, "escape.patience": 0.3})
     write_sensor_log(scene("forest", seed=3), path, seed=3, speed=3.0, config=config, rules=rules, options=options)
     return path
 

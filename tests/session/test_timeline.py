@@ -12,6 +12,7 @@ HISTORY = History(
     time=np.zeros(1),
     tick=np.zeros(1, np.int32),
     mean_disturbance=np.zeros((1, 3), np.float32),
+    drag_means=np.zeros((1, 2), np.float32),
     view_quaternion=np.zeros((1, 4), np.float32),
     stop=np.zeros((1, 4, 4), np.float32),
     stop_age=np.zeros(1, np.float32),

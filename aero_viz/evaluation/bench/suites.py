@@ -182,6 +182,7 @@ def _ablation() -> Benchmark:
         ("no way out", {"escape.q_escape": 0.0}),
         ("motion not predicted", {"partition.predict": False}),
         ("disturbances not estimated", {"vehicle.disturbance_time": 0.0}),
+        ("drag not estimated", {"vehicle.drag_time": 0.0}),
         ("the paper's tracking weight", {"costs.q_track": 15.0}),
         ("the paper's distances, 0.4 and 1.0 m", {"costs.distance_min": 0.4, "costs.distance_max": 1.0}),
         ("the paper's exponential penalty", {"costs.shape": "exponential", "costs.penalty": 1e6}),

@@ -7,6 +7,8 @@ from aero_planner.config.parameter import Value
 _PAPER: dict[str, Value] = {
     "vehicle.speed_limit": 50.0,
     "vehicle.disturbance_time": 0.0,
+    "vehicle.drag_time": 0.0,
+    "partition.fine_cells": 6,
     "partition.range_min": 0.0,
     "anchors.lookahead_rest": 5.0,
     "partition.range_time": 0.0,
@@ -25,7 +27,9 @@ _PAPER: dict[str, Value] = {
     "candidates.speed_margin": 0.0,
     "candidates.between_steps": False,
     "candidates.brake_fan": 0.0,
+    "sampling.dt": 0.05,
     "sampling.temperature": 0.1,
+    "sampling.variance_rate_xy": 1.0,
     "sampling.correlation": 0.0,
     "sampling.keep_nominal": False,
     "sampling.fresh_noise": False,
@@ -46,6 +50,7 @@ _PAPER: dict[str, Value] = {
 _PX4: dict[str, Value] = {
     "vehicle.thrust_lag": 0.045,
     "vehicle.disturbance_time": 0.0,
+    "vehicle.drag_time": 0.0,
     "vehicle.rate_xy_lag": 0.07,
     "vehicle.rate_z_lag": 0.07,
     "sampling.variance_rate_z": 0.02,
@@ -54,14 +59,22 @@ _PX4: dict[str, Value] = {
     "costs.q_control_jump": 60.0,
     "costs.q_height": 3.0,
     # As in the flights with PX4 of docs/onboard.md: defaults of that time.
+    "partition.fine_cells": 6,
     "partition.continue_before": 1.0,
+    "anchors.lookahead_time": 0.65,
+    "anchors.lookahead_rest": 2.5,
+    "anchors.slow_cycle": 3,
+    "candidates.brake_fan": 20.0,
     "candidates.stop_clearance": 0.3,
+    "sampling.dt": 0.05,
     "sampling.temperature": 0.1,
+    "sampling.variance_rate_xy": 1.0,
     "costs.q_position": 3.0,
     "costs.q_control": 0.5,
     "costs.q_speed": 10.0,
     "costs.soft_weight": 100.0,
     "costs.blocked_radius": 0.35,
+    "escape.q_escape": 120.0,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

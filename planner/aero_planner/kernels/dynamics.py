@@ -157,15 +157,16 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
 
 @wp.func
 def thrust_free_acceleration(disturbance: wp.vec3, params: Params) -> wp.vec3:
-    """Return g + d, the acceleration without thrust [m/s^2], world frame."""
+    """Return g + d, the acceleration without thrust and drag [m/s^2], world frame."""
     return disturbance - wp.vec3(0.0, 0.0, params.gravity)
 
 
 @wp.func
-def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.vec3, dt: float):
+def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.vec3, drag: float, dt: float):
     """Return p, v and q, renormalised, after one RK4 step at constant control from a unit q.
 
-    `g` is the acceleration without thrust [m/s^2].
+    The velocity follows dv/dt = F_t / m z + g - drag v, with the body axis z and the acceleration g without thrust and
+    drag [m/s^2].
     """
     omega = wp.vec3(u[1], u[2], u[3])
     thrust = u[0] / mass
@@ -177,11 +178,13 @@ def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.
     q2 = q + half
     q3 = (1.0 - 0.25 * s) * q + half
     q4 = (1.0 - 0.5 * s) * q + (dt * (1.0 - 0.25 * s)) * dq
-    a1 = thrust_axis(q)
-    a23 = thrust_axis(q2) + thrust_axis(q3)
-    a4 = thrust_axis(q4)
+    free = g - drag * v
+    a1 = thrust * thrust_axis(q) + free
+    a2 = thrust * thrust_axis(q2) + free - (0.5 * dt * drag) * a1
+    a3 = thrust * thrust_axis(q3) + free - (0.5 * dt * drag) * a2
+    a4 = thrust * thrust_axis(q4) + free - (dt * drag) * a3
     # As dp = v, the stages of the position are combinations of a1, a2 and a3.
-    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (thrust * (a1 + a23) + 3.0 * g)
-    v_next = v + (dt * (1.0 / 6.0)) * (thrust * (a1 + 2.0 * a23 + a4) + 6.0 * g)
+    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (a1 + a2 + a3)
+    v_next = v + (dt * (1.0 / 6.0)) * (a1 + 2.0 * (a2 + a3) + a4)
     factors = _step_factors(q, omega, dt)
     return p_next, v_next, factors[0] * q + factors[1] * dq

@@ -70,10 +70,33 @@ def guide_position(c: Quintic, s: float) -> wp.vec3:
     return c.a0 + s * (c.a1 + s * (c.a2 + s * (c.a3 + s * (c.a4 + s * c.a5))))
 
 
+@wp.struct
+class GuideThrust:
+    """Coefficients of the thrust per mass that follows a guide, b0 + b1 s + .. + b4 s^4 [m/s^2], world frame."""
+
+    b0: wp.vec3
+    b1: wp.vec3
+    b2: wp.vec3
+    b3: wp.vec3
+    b4: wp.vec3
+
+
 @wp.func
-def guide_acceleration(c: Quintic, s: float) -> wp.vec3:
-    """Return the acceleration of a guide at time s."""
-    return 2.0 * c.a2 + s * (6.0 * c.a3 + s * (12.0 * c.a4 + s * (20.0 * c.a5)))
+def guide_thrust(c: Quintic, g: wp.vec3, drag: float) -> GuideThrust:
+    """Return a - g + drag v along a guide; g is the acceleration without thrust and drag [m/s^2]."""
+    f = GuideThrust()
+    f.b0 = 2.0 * c.a2 + drag * c.a1 - g
+    f.b1 = 6.0 * c.a3 + (2.0 * drag) * c.a2
+    f.b2 = 12.0 * c.a4 + (3.0 * drag) * c.a3
+    f.b3 = 20.0 * c.a5 + (4.0 * drag) * c.a4
+    f.b4 = (5.0 * drag) * c.a5
+    return f
+
+
+@wp.func
+def thrust_at(f: GuideThrust, s: float) -> wp.vec3:
+    """Return the thrust per mass at time s of a guide."""
+    return f.b0 + s * (f.b1 + s * (f.b2 + s * (f.b3 + s * f.b4)))
 
 
 @wp.func
@@ -107,6 +130,7 @@ def write_nominal(
     command: wp.vec4,
     control: wp.vec4,
     disturbance: wp.vec3,
+    drag: float,
     heading_goal: float,
     lag: float,
     params: Params,
@@ -114,7 +138,7 @@ def write_nominal(
 ):
     """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
 
-    The acceleration of the guide determines the thrust vector m (a - g - d) and with it the body z axis. The body rates
+    The guide determines the thrust vector m (a - g - d + drag v) and with it the body z axis. The body rates
     turn the attitude reached so far to the required axis at the end of each time step, which also corrects an initial
     attitude that does not fit the guide. The heading turns at a constant rate to that of the goal.
 
@@ -127,7 +151,7 @@ def write_nominal(
     dt = params.dt
     steps = nominal_controls.shape[2]
     yaw_rate = wrap_angle(heading_goal - heading(q0)) / (float(steps) * dt)
-    up = -thrust_free_acceleration(disturbance, params)
+    required = guide_thrust(c, thrust_free_acceleration(disturbance, params), drag)
     q = q0
     acting = control
     shares = lag_shares(dt, params)
@@ -136,14 +160,14 @@ def write_nominal(
     remaining = lag_share(lag, dt)
     lead = 2.0 * params.rate_xy_lag + lag
     end = float(steps) * dt
-    f_next = guide_acceleration(c, 0.5 * dt) + up
-    z_next = wp.normalize(guide_acceleration(c, wp.min(dt + lead, end)) + up)
+    f_next = thrust_at(required, 0.5 * dt)
+    z_next = wp.normalize(thrust_at(required, wp.min(dt + lead, end)))
     for t in range(steps):
         f = f_next
         z_body = quat_inverse_rotate(q, z_next)
         # Values that do not depend on the attitude are computed one step early, off the chain of dependent operations.
-        f_next = guide_acceleration(c, (float(t) + 1.5) * dt) + up
-        z_next = wp.normalize(guide_acceleration(c, wp.min(float(t + 2) * dt + lead, end)) + up)
+        f_next = thrust_at(required, (float(t) + 1.5) * dt)
+        z_next = wp.normalize(thrust_at(required, wp.min(float(t + 2) * dt + lead, end)))
         # The shortest rotation of the body z axis is about e_3 x z_body, by the angle between them.
         sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
         gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * (dt + lead))
@@ -297,8 +321,8 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
             # Braking is urgent and begins at once.
             lag = wp.where(m < anchor_count, c.nominal_lag, 0.0)
             write_nominal(
-                b, m, curve, q0, drone.command[b], drone.control[b], drone.disturbance[b], heading_goal, lag, c,
-                nominal_controls,
+                b, m, curve, q0, drone.command[b], drone.control[b], drone.disturbance[b], drone.drag[b], heading_goal,
+                lag, c, nominal_controls,
             )  # fmt: skip
 
     return tuning.set_options(make_guides)

@@ -164,6 +164,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         shares = lag_shares(c.dt, c)
         mean_shares = mean_lag_shares(shares, c.dt, c)
         g = thrust_free_acceleration(drone.disturbance[b], c)
+        drag = drone.drag[b]
         noise = Controls()
         u = Controls()
         acting = Controls()
@@ -208,7 +209,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 a = wp.vec4(acting[0, j], acting[1, j], acting[2, j], acting[3, j])
                 mean = lagged_control(u_t, a, mean_shares)
                 a = lagged_control(u_t, a, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, g, c.dt)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, g, drag, c.dt)
                 S[j] = (
                     S[j]
                     + counted * control_cost(u_t, c)

@@ -21,6 +21,10 @@ wp.set_module_options({"enable_backward": False})
 
 _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
+_LARGEST_DRAG = wp.constant(0.5)
+"""Largest drag that is believed [1/s]."""
+_DRAG_FREE_SPEED = wp.constant(1.0)
+"""Speed of flights at which half of the estimated drag is believed [m/s]: slow flights hardly show it."""
 _LARGEST_DISTURBANCE = wp.constant(3.0)
 """Largest unexplained acceleration that is believed [m/s^2]: the drone may not fly what was planned."""
 
@@ -42,10 +46,20 @@ def believed_disturbance(d: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def counted_disturbance(mean: wp.vec3, v: wp.vec3) -> wp.vec3:
-    """Return a disturbance without its component against the velocity, such as drag.
+def drag_sample(unexplained: wp.vec3, v: wp.vec3) -> wp.vec2:
+    """Return -a v and v^2 of an unexplained acceleration a; their means have the drag as their ratio.
 
-    Drag shortens every stop, and ends with the motion. It is left as a margin.
+    This is the least-squares estimate of k in a = -k v. A drag beyond `_LARGEST_DRAG` is not believed.
+    """
+    square = wp.dot(v, v)
+    return wp.vec2(wp.clamp(-wp.dot(unexplained, v), -_LARGEST_DRAG * square, _LARGEST_DRAG * square), square)
+
+
+@wp.func
+def counted_disturbance(mean: wp.vec3, v: wp.vec3) -> wp.vec3:
+    """Return a disturbance without its component against the velocity.
+
+    It shortens every stop, and may end with the motion. It is left as a margin.
     """
     against = wp.min(wp.dot(mean, v), 0.0) / wp.max(wp.dot(v, v), 1.0e-6)
     return mean - against * v
@@ -62,6 +76,7 @@ def predict_state(
     previous: PreviousPlan,
     # in and out
     mean_disturbance: wp.array(dtype=wp.vec3),
+    drag_means: wp.array(dtype=wp.vec2),
     view_quaternion: wp.array(dtype=wp.vec4),
     # out
     start: DroneState,
@@ -69,10 +84,11 @@ def predict_state(
     """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
     The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
-    Without a delay the state is copied, with its attitude normalised. A disturbance that is not given is the mean
-    difference of the given accelerations from those of the controls in effect. It is 0 in the first plan, after a
-    horizon without a plan, and without an acceleration. `view_quaternion` follows the given attitude. Launched over
-    [B].
+    Without a delay the state is copied, with its attitude normalised. What the model does not explain is the difference
+    of the given acceleration from that of the controls in effect, or is given. Its part against the velocity, in
+    proportion to it, is the drag; the mean of the rest is the disturbance. Both are 0 in the first plan, and the
+    disturbance also after a horizon without a plan or without an acceleration. `view_quaternion` follows the given
+    attitude. Launched over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -86,17 +102,29 @@ def predict_state(
     if since >= 0.0:
         _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
     no_disturbance = wp.vec3(0.0, 0.0, 0.0)
+    unexplained = drone.disturbance[b]
+    is_given = not wp.isnan(unexplained[0])
+    if not is_given and since < horizon:  # NaN without an acceleration
+        modelled = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
+        unexplained = acceleration - modelled
+    is_known = not wp.isnan(unexplained[0]) and (is_given or since >= 0.0)
+    means = wp.vec2(0.0, 0.0)
+    if since >= 0.0:
+        means = drag_means[b]
+    drag = float(0.0)
+    if c.drag_time > 0.0:
+        if is_known and since >= 0.0:
+            means += (1.0 - wp.exp(-since / c.drag_time)) * (drag_sample(unexplained, v) - means)
+        drag = wp.max(means[0], 0.0) / (means[1] + _DRAG_FREE_SPEED * _DRAG_FREE_SPEED)
+    drag_means[b] = means
     disturbance = no_disturbance
-    if c.disturbance_time > 0.0:
-        if not wp.isnan(drone.disturbance[b][0]):
-            disturbance = believed_disturbance(drone.disturbance[b])
-        elif not wp.isnan(acceleration[0]) and since >= 0.0 and since < horizon:
-            modelled = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
-            share = 1.0 - wp.exp(-since / c.disturbance_time)
+    if c.disturbance_time > 0.0 and is_known:
+        disturbance = believed_disturbance(unexplained + drag * v)
+        if not is_given:
             mean_before = mean_disturbance[b]
-            disturbance = mean_before + share * (believed_disturbance(acceleration - modelled) - mean_before)
+            disturbance = mean_before + (1.0 - wp.exp(-since / c.disturbance_time)) * (disturbance - mean_before)
     if wp.isnan(acceleration[0]):
-        acceleration = disturbance
+        acceleration = disturbance - drag * v
     counted = counted_disturbance(disturbance, v)
     acceleration += counted - disturbance
     mean_disturbance[b] = disturbance
@@ -113,10 +141,11 @@ def predict_state(
                 u = mean_control(b, sent / c.dt, 1.0, c, previous.controls)
             mean = lagged_control(u, acting, mean_shares)
             acting = lagged_control(u, acting, shares)
-            p, v, q = rk4_step(p, v, q, mean, c.mass, thrust_free_acceleration(disturbance, c), dt)
-        acceleration = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(counted, c)
+            p, v, q = rk4_step(p, v, q, mean, c.mass, thrust_free_acceleration(disturbance, c), drag, dt)
+        acceleration = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(counted, c) - drag * v
     start.position[b] = p
     start.velocity[b] = v
     start.quaternion[b] = q
     start.acceleration[b] = acceleration
     start.disturbance[b] = counted
+    start.drag[b] = drag

@@ -45,7 +45,8 @@ class DroneState:
     velocity: wp.array(dtype=wp.vec3)  # [B]
     quaternion: wp.array(dtype=wp.vec4)  # [B], unit, body to world
     acceleration: wp.array(dtype=wp.vec3)  # [B]
-    disturbance: wp.array(dtype=wp.vec3)  # [B], acceleration besides thrust and gravity that plans count on
+    disturbance: wp.array(dtype=wp.vec3)  # [B], acceleration besides thrust, gravity and drag that plans count on
+    drag: wp.array(dtype=float)  # [B], deceleration per velocity that plans count on [1/s]
     control: wp.array(dtype=wp.vec4)  # [B], F_t and omega in effect
     command: wp.array(dtype=wp.vec4)  # [B], F_t and omega commanded
 

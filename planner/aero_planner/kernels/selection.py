@@ -64,6 +64,7 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
             rollouts.quaternions[b, m, 0] = q
         acting = drone.control[b]
         g = thrust_free_acceleration(drone.disturbance[b], c)
+        drag = drone.drag[b]
         shares = lag_shares(c.dt, c)
         mean_shares = mean_lag_shares(shares, c.dt, c)
         steps = rollouts.controls.shape[2]
@@ -79,7 +80,7 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
                 )  # fmt: skip
                 mean = lagged_control(u, acting, mean_shares)
                 acting = lagged_control(u, acting, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, g, c.dt)
+                p, v, q = rk4_step(p, v, q, mean, c.mass, g, drag, c.dt)
                 if lane == 0:
                     rollouts.positions[b, m, t + 1] = p
                     rollouts.velocities[b, m, t + 1] = v

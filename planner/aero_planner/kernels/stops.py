@@ -26,7 +26,7 @@ from aero_planner.kernels.dynamics import (
     thrust_axis,
     thrust_free_acceleration,
 )
-from aero_planner.kernels.guides import guide_acceleration, quintic
+from aero_planner.kernels.guides import guide_thrust, quintic, thrust_at
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.params import Params
@@ -127,25 +127,26 @@ def roll_out_stop(
     v = rollouts.velocities[b, m, s]
     q = rollouts.quaternions[b, m, s]
     g = thrust_free_acceleration(drone.disturbance[b], c)
+    drag = drone.drag[b]
     acting = control_at_step(b, m, s, drone.control[b], c, rollouts.controls)
     shares = lag_shares(dt, c)
     mean_shares = mean_lag_shares(shares, dt, c)
     lead = 2.0 * c.rate_xy_lag  # as in `write_nominal`
-    acceleration = (acting[0] / c.mass) * thrust_axis(q) + g
+    acceleration = (acting[0] / c.mass) * thrust_axis(q) + g - drag * v
     goal = p + (c.brake_reach * T) * quat_rotate(quat_from_heading(stop_angle(stop, c)), v)
-    curve = quintic(p, v, acceleration, goal, wp.vec3(0.0, 0.0, 0.0), T)
+    required = guide_thrust(quintic(p, v, acceleration, goal, wp.vec3(0.0, 0.0, 0.0), T), g, drag)
     stop_positions[b, i, 0] = p
     for t in range(steps):
-        f = guide_acceleration(curve, (float(t) + 0.5) * dt) - g
+        f = thrust_at(required, (float(t) + 0.5) * dt)
         later = wp.min(float(t + 1) * dt + lead, T)
-        z_body = quat_inverse_rotate(q, wp.normalize(guide_acceleration(curve, later) - g))
+        z_body = quat_inverse_rotate(q, wp.normalize(thrust_at(required, later)))
         sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
         gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * (dt + lead))
         u = wp.vec4(c.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], 0.0)
         u = clamp_control(u, c)
         mean = lagged_control(u, acting, mean_shares)
         acting = lagged_control(u, acting, shares)
-        p, v, q = rk4_step(p, v, q, mean, c.mass, g, dt)
+        p, v, q = rk4_step(p, v, q, mean, c.mass, g, drag, dt)
         stop_controls[b, i, t] = u
         stop_positions[b, i, t + 1] = p
     # A manoeuvre that has not stopped proves nothing.

@@ -32,7 +32,8 @@ def cluttered(seed: int) -> Case:
 def test_safety_is_checked_between_the_states(device: str, between: bool):
     """Without `between_steps` some selected plans pass a post between two states, with it none does."""
     changes = {"candidates.prove_stop": "off", "candidates.speed_margin": 0.0, "costs.distance_min": 0.28}
-    changes |= {"partition.continue_below": 0.0, "partition.continue_above": 0.0, "costs.waypoint_distance": 3.0}
+    changes |= {"partition.continue_below": 0.0, "partition.continue_above": 0.0}
+    changes |= {"costs.waypoint_distance": 3.0, "sampling.dt": 0.05}
     changes |= {"costs.soft_weight": 100.0, "costs.q_speed": 10.0}  # higher ones keep all plans away from the posts
     config = config_of(candidates__between_steps=between).replace(changes)
     planner, slipped, chosen = Planner(config, device=device), 0, 0
@@ -56,7 +57,7 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
     wall = np.stack((np.full_like(y, 2.4), y, z), axis=-1).reshape(-1, 3)
     case.points = (wall + case.position).astype(np.float32)
     ends, approaches = [], []
-    for fan in (0.0, 20.0):
+    for fan in (0.0, 30.0):
         # Too wide a berth for any candidate, so that it brakes.
         config = config_of(candidates__brake_fan=fan, candidates__safe_clearance=1.5, costs__distance_max=0.55)
         plan = case.plan(Planner(config, device=device))
@@ -64,7 +65,7 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
         assert np.linalg.norm(plan.velocities[plan.best, -1]) < 2.0
         ends.append(plan.positions[plan.best, -1] - case.position)
         approaches.append(nearest_approach(plan, between=True))
-    assert abs(ends[0][1]) < 0.05
+    assert abs(ends[0][1]) < 0.1
     assert ends[1][1] < -0.2, ends
     assert approaches[1] > approaches[0] + 0.01
 
@@ -88,7 +89,7 @@ def closing_in(planner: Planner, *, period: float = 0.02, count: int = 6) -> tup
 
 
 def test_a_proven_stop_that_is_clear_of_what_stands_is_flown_whatever_moves(device: str):
-    planner = Planner(config_of(partition__predict_speed=0.5), device=device)
+    planner = Planner(config_of(partition__predict_speed=0.5, sampling__dt=0.05), device=device)
     plans, _ = closing_in(planner)
     assert plans[0].status == PlanStatus.OK
     assert all(plan.status == PlanStatus.NO_SAFE_CANDIDATE for plan in plans[1:])
@@ -99,7 +100,7 @@ def test_a_proven_stop_that_is_clear_of_what_stands_is_flown_whatever_moves(devi
 @pytest.mark.parametrize(("period", "count"), [(0.02, 10), (0.049, 5), (0.05, 4)])
 def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, count: int):
     """However often the planner plans meanwhile, the drone is where the stop leads; its time step is 0.05 s."""
-    planner = Planner(config_of(partition__predict_speed=0.5), device=device)
+    planner = Planner(config_of(partition__predict_speed=0.5, sampling__dt=0.05), device=device)
     plans, flown = closing_in(planner, period=period, count=count)
     assert all(plan.status == PlanStatus.NO_SAFE_CANDIDATE for plan in plans[1:])
     fine = planner.config.replace({"sampling.dt": 0.005})

@@ -22,12 +22,12 @@ class AnchorConfig(ParameterSection, section="anchors"):
         label="Look-ahead distance", symbol="l", basic=True,
     )  # fmt: skip
     lookahead_time: float = live(
-        0.65, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
+        0.5, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
         "speed limit; 0 as in the paper.",
         label="Look-ahead per speed limit",
     )  # fmt: skip
     lookahead_rest: float = live(
-        2.5, "m", 0.1, 30.0,
+        3.5, "m", 0.1, 30.0,
         "Look-ahead distance at rest. It grows by 0.6 T v with the speed v, up to the look-ahead distance: from rest, "
         "a guide of full length asks for an acceleration that saturates the thrust. A value of at least the look-ahead "
         "distance disables this, as in the paper.",
@@ -46,7 +46,7 @@ class AnchorConfig(ParameterSection, section="anchors"):
         label="Rise factor at low speed",
     )  # fmt: skip
     slow_cycle: int = live(
-        3, "", 1, 10, "Number of spreads at low speed: successive plans go from a part of slow_spread to all of it.",
+        2, "", 1, 10, "Number of spreads at low speed: successive plans go from a part of slow_spread to all of it.",
         label="Spreads at low speed",
     )  # fmt: skip
     refine: bool = switch(True, "Move each anchor to the safe direction of its coarse cell.", label="Refine anchors")

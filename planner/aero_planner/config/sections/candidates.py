@@ -65,7 +65,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
         label="Braking distance factor",
     )  # fmt: skip
     brake_fan: float = live(
-        20.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
+        30.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
         "clearance is flown, among those that are clear of static obstacles: there may be one straight ahead. 0 "
         "brakes straight ahead only.",
         label="Braking fan angle",

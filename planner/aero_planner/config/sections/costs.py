@@ -12,7 +12,7 @@ class CostConfig(ParameterSection, section="costs"):
     """Weights of the costs. Stage I: S1 = J_track + J_vnorm + J_ctrl + S2. Stage II: S2 = J_goal + J_col."""
 
     q_position: float = live(
-        6.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal; 3 in the paper.",
+        10.0, "1/m", 0.0, 1e3, "Weight of the distance to the goal; 3 in the paper.",
         label="Goal position weight", symbol="Q_p", group="Goal", basic=True,
     )  # fmt: skip
     q_velocity: float = live(
@@ -37,7 +37,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Guide tracking weight", symbol="Q_track", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control: float = live(
-        0.25, "", 0.0, 1e3, "Weight of the squared controls; 0.5 in the paper.",
+        0.12, "", 0.0, 1e3, "Weight of the squared controls; 0.5 in the paper.",
         label="Control effort weight", symbol="Q_c", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control_rate: float = live(
@@ -51,7 +51,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(
-        100.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the limits of speed and descent; 0 as in the "
+        200.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the limits of speed and descent; 0 as in the "
         "paper.",
         label="Speed limit weight", group="Tracking and effort",
     )  # fmt: skip

@@ -12,7 +12,7 @@ class EscapeConfig(ParameterSection, section="escape"):
     """Memory of places without progress, which leads out of dead ends."""
 
     q_escape: float = live(
-        120.0, "1/m", 0.0, 1e4, "Weight of the depth of a rollout's end in the neighbourhood of each remembered place; "
+        240.0, "1/m", 0.0, 1e4, "Weight of the depth of a rollout's end in the neighbourhood of each remembered place; "
         "0 as in the paper.",
         label="Escape weight", basic=True,
     )  # fmt: skip

@@ -15,9 +15,12 @@ class SamplingConfig(ParameterSection, section="sampling"):
     steps: int = structural(
         25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon", basic=True
     )
-    dt: float = live(0.05, "s", 0.005, 0.5, "Length of a time step.", label="Time step", symbol="dt", group="Horizon")
+    dt: float = live(
+        0.045, "s", 0.005, 0.5, "Length of a time step; 0.05 in the paper.",
+        label="Time step", symbol="dt", group="Horizon",
+    )  # fmt: skip
     temperature: float = live(
-        0.03, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples; 0.1 in the paper.",
+        0.003, "", 1e-3, 1e3, "Temperature of the weights: higher values average over more samples; 0.1 in the paper.",
         scale="log", symbol="lambda", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_thrust: float = live(
@@ -25,7 +28,7 @@ class SamplingConfig(ParameterSection, section="sampling"):
         label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_rate_xy: float = live(
-        1.0, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the roll and pitch rates.",
+        2.0, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the roll and pitch rates; 1 in the paper.",
         label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_rate_z: float = live(

@@ -42,6 +42,11 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         "is averaged. Plans count on it unless it slows the drone down. 0, as in the paper: no disturbance is assumed.",
         label="Averaging of disturbances",
     )  # fmt: skip
+    drag_time: float = live(
+        2.0, "s", 0.0, 100.0, "Time over which the drag is estimated, from the part of that acceleration that is "
+        "proportional to the velocity and against it. Plans count on it. 0, as in the paper: no drag is assumed.",
+        label="Averaging of drag",
+    )  # fmt: skip
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
