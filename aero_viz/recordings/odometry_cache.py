@@ -60,12 +60,8 @@ def save_motion(key: str, motion: Motion) -> None:
     folder = cache_folder()
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=folder, suffix=".part", delete=False) as file:
-            try:
-                arrays: dict[str, Any] = {**motion._asdict(), "problems": np.array(motion.problems, dtype=str)}
-                np.savez_compressed(file, **arrays)
-                file.close()
-                os.replace(file.name, folder / f"{key}.npz")
-            except BaseException:
-                os.unlink(file.name)
-                raise
+        with tempfile.TemporaryDirectory(dir=folder) as temporary:
+            file = Path(temporary) / f"{key}.npz"
+            arrays: dict[str, Any] = {**motion._asdict(), "problems": np.array(motion.problems, dtype=str)}
+            np.savez_compressed(file, **arrays)
+            os.replace(file, folder / file.name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -65,7 +64,8 @@ class Px4Process:
         self.companion_port, self.companion_remote = _COMPANION_PORT + instance, _COMPANION_REMOTE + instance
         self.station_port = _STATION_PORT + instance
         self._paused = False
-        self._folder = Path(tempfile.mkdtemp(prefix="aero-px4-"))
+        self._temporary = tempfile.TemporaryDirectory(prefix="aero-px4-", ignore_cleanup_errors=True)
+        self._folder = Path(self._temporary.name)
         self._output = self._folder / "px4.txt"
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         environment |= {"PX4_SIM_MODEL": _MODEL, "HEADLESS": "1"}
@@ -79,7 +79,7 @@ class Px4Process:
                     env=environment,
                 )  # fmt: skip
         except OSError as error:
-            shutil.rmtree(self._folder, ignore_errors=True)
+            self._temporary.cleanup()
             raise UserError(f"{binary} cannot be started ({error.strerror}): build PX4 on this computer.") from error
 
     def check(self) -> None:
@@ -120,7 +120,7 @@ class Px4Process:
     def close(self) -> None:
         """End the process and delete its files."""
         self.stop()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._temporary.cleanup()
 
 
 def _free_instance() -> int:

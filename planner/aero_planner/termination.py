@@ -1,7 +1,8 @@
 """Signals that end a command: SIGTERM, which service managers and `timeout` send, acts as Ctrl-C: results are kept.
 
 Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
-flights, or in a callback of a weak reference. A signal that arrives meanwhile is sent again a moment later.
+flights, or in a callback of a weak reference. An exception while `tempfile` makes or removes a folder would leave it
+behind. A signal that arrives meanwhile is sent again a moment later.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from typing import Any
 
 _received = threading.Event()
 _RETRY_AFTER = 0.01
-"""Time after which a signal that would be ignored is sent again [s]."""
-_FINALIZERS = ("weakref", "_weakrefset")
-"""Modules whose functions run while an object is finalized."""
+"""Time after which a signal that would be ignored, or would leave files behind, is sent again [s]."""
+_UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile")
+"""Modules whose functions are not interrupted: they run while an object is finalized, or make and remove files."""
 
 
 def install_handler() -> None:
@@ -38,11 +39,11 @@ def is_terminating() -> bool:
 
 
 def raise_interrupt(number: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, or send the signal again a moment later while an object is finalized.
+    """Raise KeyboardInterrupt, or send the signal again a moment later while nothing may be interrupted.
 
     This is a handler of signals, and the end of a handler that does not always interrupt.
     """
-    if _is_finalizing(frame):
+    if _is_uninterrupted(frame):
         _send_again(number)
         return
     raise KeyboardInterrupt
@@ -56,10 +57,10 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     handler(number, frame)
 
 
-def _is_finalizing(frame: FrameType | None) -> bool:
-    """Return True if the frame, or one that called it, finalizes an object."""
+def _is_uninterrupted(frame: FrameType | None) -> bool:
+    """Return True if the frame, or one that called it, finalizes an object or makes or removes a temporary file."""
     while frame is not None:
-        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") in _FINALIZERS:
+        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") in _UNINTERRUPTED:
             return True
         frame = frame.f_back
     return False

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -73,3 +74,62 @@ def test_other_errors_of_finalizers_are_still_reported():
     code = PROGRAM.split("try:\n    del")[0].replace("send()", "raise ValueError('broken')") + "del value\n"
     done = subprocess.run([sys.executable, "-c", code, "2", "del"], capture_output=True, text=True, timeout=60.0)
     assert done.returncode == 0 and done.stderr.endswith("ValueError: broken\n"), done.stderr
+
+
+MOMENTS = """
+import itertools, os, sys, tempfile, time
+from aero_planner.termination import install_handler
+
+install_handler()
+number, place = int(sys.argv[1]), sys.argv[2]
+
+def work():
+    with tempfile.TemporaryDirectory(dir=place) as folder:
+        open(os.path.join(folder, "file"), "w").close()
+
+def interrupted_at(moment):
+    # Send the signal when `moment` instructions of work or lines of other functions have begun.
+    left = moment
+
+    def trace(frame, event, argument):
+        nonlocal left
+        if frame.f_code is work.__code__:
+            frame.f_trace_opcodes, frame.f_trace_lines = True, False
+        if event in ("line", "opcode"):
+            left -= 1
+            if not left:
+                sys.settrace(None)
+                os.kill(os.getpid(), number)
+                for _ in range(1000):  # the handler is called in here
+                    pass
+        return trace
+
+    try:
+        sys.settrace(trace)
+        try:
+            work()
+        finally:
+            sys.settrace(None)
+        if left > 0:
+            return False
+        time.sleep(20.0)
+        sys.exit(f"lost at {moment}")
+    except KeyboardInterrupt:
+        pass
+    return True
+
+for moment in itertools.count(1):
+    is_sent = interrupted_at(moment)
+    if os.listdir(place):
+        sys.exit(f"left behind at {moment}")
+    if not is_sent:
+        break
+print("complete", moment > 50)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_at_any_moment_leaves_no_temporary_folder(number: signal.Signals, tmp_path: Path):
+    command = [sys.executable, "-c", MOMENTS, str(int(number)), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "complete True\n", "")

@@ -22,7 +22,6 @@ import shutil
 import stat
 import tarfile
 import tempfile
-import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,8 +52,8 @@ class Bundle:
 
     source: str
     """Path of the bundle, as named in errors."""
-    folder: Path
-    """Private copy of configuration and kernels, which `close` removes."""
+    _copy: tempfile.TemporaryDirectory[str] = field(repr=False)
+    """Folder with configuration and kernels, which `close` removes."""
     warp: str
     """Version of Warp."""
     planner: str
@@ -70,8 +69,10 @@ class Bundle:
     files: frozenset[str] = field(repr=False)
     _cache: str | None = field(default=None, repr=False)
 
-    def __post_init__(self) -> None:
-        self._remove = weakref.finalize(self, shutil.rmtree, self.folder, True)
+    @property
+    def folder(self) -> Path:
+        """Private copy of configuration and kernels."""
+        return Path(self._copy.name)
 
     @property
     def config_file(self) -> Path:
@@ -132,7 +133,7 @@ class Bundle:
         """Remove the private copy, and make Warp use its own cache again."""
         if self._cache is not None:
             wp.config.kernel_cache_dir, self._cache = self._cache, None
-        self._remove()
+        self._copy.cleanup()
 
     def __enter__(self) -> Bundle:
         return self
@@ -149,26 +150,26 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
             4096 files or 512 MiB).
     """
     source = Path(path)
-    copy = Path(tempfile.mkdtemp(prefix="aero-planner-"))
+    copy = tempfile.TemporaryDirectory(prefix="aero-planner-", ignore_cleanup_errors=True)
     try:
         if source.is_dir():
             return _check(source, copy, str(path))
         if source.exists() and not source.is_file():
             raise ValueError("is neither a folder nor a whole tar file")
-        unpacked = copy / "unpacked"
+        unpacked = Path(copy.name) / "unpacked"
         with open_user_file(source) as file:
             _unpack(file, unpacked)
         bundle = _check(unpacked, copy, str(path))
         shutil.rmtree(unpacked)
         return bundle
     except OSError as error:
-        shutil.rmtree(copy, True)
+        copy.cleanup()
         raise ValueError(f"the bundle {path} can't be read: {error.strerror or error}.") from error
     except ValueError as error:
-        shutil.rmtree(copy, True)
+        copy.cleanup()
         raise ValueError(f"the bundle {path} {error}: {_EXPORT_AGAIN}, or copy it again.") from error
     except BaseException:
-        shutil.rmtree(copy, True)
+        copy.cleanup()
         raise
 
 
@@ -248,7 +249,7 @@ def _chunks(file: IO[bytes], size: int) -> Iterator[bytes]:
         yield chunk
 
 
-def _check(folder: Path, copy: Path, source: str) -> Bundle:
+def _check(folder: Path, copy: tempfile.TemporaryDirectory[str], source: str) -> Bundle:
     """Compare a folder with its manifest, and copy the files that a planner needs to `copy`."""
     manifest = _read_manifest(folder)
     files: dict[str, Any] = _field(manifest, "files", dict)
@@ -268,7 +269,7 @@ def _check(folder: Path, copy: Path, source: str) -> Bundle:
             raise ValueError("is larger than any bundle")
         target = None
         if name == CONFIG or name.startswith(f"{KERNELS}/"):
-            target = copy / name
+            target = Path(copy.name) / name
             copied.add(name)
         if _digest(folder, name, size, target) != digest:
             raise ValueError(f"is damaged: {name} has another checksum than its manifest says")
@@ -277,7 +278,7 @@ def _check(folder: Path, copy: Path, source: str) -> Bundle:
         raise ValueError("has a manifest with other than whole numbers in 'architectures'")
     cpu = manifest.get("cpu")
     return Bundle(
-        source=source, folder=copy, warp=_field(manifest, "warp", str), planner=_field(manifest, "planner", str),
+        source=source, _copy=copy, warp=_field(manifest, "warp", str), planner=_field(manifest, "planner", str),
         architectures=tuple(architectures), cpu=cpu if isinstance(cpu, str) else None,
         structure=_field(manifest, "structure", dict), created=_field(manifest, "created", str),
         files=frozenset(copied),

@@ -84,8 +84,10 @@ def export(
     init_warp()
     if cpu and not wp.is_cpu_available():
         raise ValueError("this Warp has no compiler for the CPU; leave out --cpu, or install the Warp package of PyPI.")
-    work = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
-    try:
+    with tempfile.TemporaryDirectory(
+        prefix=f".{target.name}.", dir=target.parent, ignore_cleanup_errors=True
+    ) as temporary:
+        work = Path(temporary)
         folder = work / "bundle"
         folder.mkdir(mode=0o755)
         (folder / CONFIG).write_text(config, encoding="utf-8")
@@ -97,8 +99,6 @@ def export(
             os.replace(work / "bundle.tar", target)
         else:
             os.replace(folder, target)
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
     return manifest
 
 
@@ -143,9 +143,18 @@ def _compile_in_subprocess(work: Path, folder: Path, max_points: int, architectu
     # Warp does not compile kernels again that are already loaded in this process.
     arguments = [str(work), str(folder), str(max_points), str(int(cpu)), *map(str, architectures)]
     command = [sys.executable, "-m", __name__, *arguments]
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
-    if done.returncode:
-        last = done.stderr.strip().splitlines()[-1:] or [f"the compiler process ended with {done.returncode}."]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        errors="replace",
+    ) as process:  # fmt: skip
+        try:
+            _, errors = process.communicate()
+        except BaseException:
+            process.kill()
+            process.wait()  # until it writes no more to the folder, which is removed next
+            raise
+    if process.returncode:
+        last = errors.strip().splitlines()[-1:] or [f"the compiler process ended with {process.returncode}."]
         raise ValueError(last[0].removeprefix("ValueError: "))
 
 

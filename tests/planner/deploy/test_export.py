@@ -37,6 +37,23 @@ if bundle:
     bundle.close()
 """
 
+SIGNALLED = """
+import os, signal, sys
+from aero_planner import cli
+
+def send(frame, event, argument):
+    # Profiles the program: sends the signal when the function makes or removes the temporary folder.
+    if (event, frame.f_code.co_name) == (sys.argv[1], sys.argv[2]):
+        sys.setprofile(None)
+        print("sent", flush=True)
+        os.kill(os.getpid(), signal.SIGTERM)
+        for _ in range(1000):  # the handler is called in here
+            pass
+
+sys.setprofile(send)
+sys.exit(cli.main(["export", *sys.argv[3:]]))
+"""
+
 
 def plan(device: str, bundle: Path | None, *, lost: int = 0, cache: Path | None = None) -> list[str]:
     """Plan in a new process with a bundle without its first `lost` kernels; return the lines printed."""
@@ -157,6 +174,17 @@ def test_sigterm_ends_an_export_and_leaves_nothing(tmp_path: Path):
         finally:
             process.kill()
     assert (process.returncode, printed, list(tmp_path.iterdir())) == (130, ("", ""), [])
+
+
+@pytest.mark.parametrize(("event", "function"), [("return", "mkdtemp"), ("call", "rmtree")])
+def test_sigterm_while_the_temporary_folder_is_made_or_removed_leaves_nothing(
+    tmp_path: Path, event: str, function: str
+):
+    out = str(tmp_path / "drone.tar")
+    command = [sys.executable, "-c", SIGNALLED, event, function, out, "--arch", "sm_12"]  # too old: ends with an error
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
+    assert (done.stdout, os.listdir(tmp_path)) == ("sent\n", []), done.stderr
+    assert done.returncode == 130 or (function == "rmtree" and done.returncode == 2)  # it may have ended already
 
 
 @pytest.mark.parametrize(
