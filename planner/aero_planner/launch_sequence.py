@@ -11,8 +11,8 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import warp as wp
@@ -177,11 +177,19 @@ class LaunchSequence:
         for stage in self.stages[name]:
             chunks = deque(stage)
             helpers = min(len(chunks), self._workers) - 1
-            futures = (
-                [self._executor.submit(self._run_chunks, chunks, {}) for _ in range(helpers)] if self._executor else []
-            )
-            self._run_chunks(chunks, self.stage_ms)
-            started = time.perf_counter()
+            futures: list[Future[None]] = []
+            try:
+                if self._executor:
+                    for _ in range(helpers):
+                        futures.append(self._executor.submit(self._run_chunks, chunks, {}))
+                self._run_chunks(chunks, self.stage_ms)
+            finally:
+                # After an error or Ctrl-C, too, no launch may run on: its arrays may be freed next.
+                chunks.clear()
+                started = time.perf_counter()
+                for future in futures:
+                    with suppress(CancelledError):  # by `close`
+                        future.exception()
             for future in futures:
                 future.result()
             if futures:
