@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 import warp as wp
@@ -32,8 +33,58 @@ def usable_cores() -> int:
     return os.cpu_count() or 1
 
 
+class _Branches:
+    """Streams on which launches run in parallel on CUDA; on a CPU, and while disabled, nothing happens.
+
+    Args:
+        device: device of the launches.
+    """
+
+    def __init__(self, device: wp.Device) -> None:
+        self._device = device
+        self._is_enabled = device.is_cuda
+        self._side_streams: dict[str, wp.Stream] = {}
+        self._ends: dict[str, wp.Event] = {}
+        self._main_stream: Any = None
+
+    def begin(self) -> None:
+        """Use the present stream of the device as the main stream."""
+        self._main_stream = self._device.stream if self._is_enabled else None
+
+    def fork(self, name: str) -> None:
+        """Put the following launches on a side stream, after everything so far."""
+        if self._is_enabled:
+            if name not in self._side_streams:
+                self._side_streams[name] = wp.Stream(self._device)
+            self._side_streams[name].wait_event(self._main_stream.record_event())
+            self._device.set_stream(self._side_streams[name], sync=False)
+
+    def end_fork(self, name: str) -> None:
+        """Put the following launches on the main stream, in parallel with those of the branch."""
+        if self._is_enabled:
+            self._ends[name] = self._side_streams[name].record_event()
+            self._device.set_stream(self._main_stream, sync=False)
+
+    def join(self, name: str) -> None:
+        """Let the main stream wait for the launches between `fork` and `end_fork`."""
+        if self._is_enabled:
+            self._main_stream.wait_event(self._ends[name])
+
+    @contextmanager
+    def disabled(self) -> Iterator[None]:
+        """On CUDA, run everything on one stream."""
+        is_enabled, self._is_enabled = self._is_enabled, False
+        try:
+            yield
+        finally:
+            self._is_enabled = is_enabled
+
+
 class LaunchSequence:
     """Stages of launches on one device, which run one after another.
+
+    Nothing in the stages refers to the sequence. In a reference cycle, the device memory of all arrays would wait for
+    Python's garbage collector, which does not know of it.
 
     Args:
         device: device of the launches.
@@ -49,10 +100,7 @@ class LaunchSequence:
         self.stage_ms: dict[str, float] = {}
         self._device, self._workers = device, workers
         self._executor = ThreadPoolExecutor(workers - 1, "aero-planner") if workers > 1 else None
-        self._has_branches = device.is_cuda
-        self._side_streams: dict[str, Any] = {}
-        self._branch_ends: dict[str, Any] = {}
-        self._main_stream: Any = None
+        self._branches = _Branches(device)
         self._graphs: dict[str, Any] = {}
 
     def record(
@@ -75,34 +123,15 @@ class LaunchSequence:
 
     def fork(self, name: str) -> Callable[[], Any]:
         """Return a launch that on CUDA puts the following ones on a side stream, after everything so far."""
-
-        def fork() -> None:
-            if self._has_branches:
-                if name not in self._side_streams:
-                    self._side_streams[name] = wp.Stream(self._device)
-                self._side_streams[name].wait_event(self._main_stream.record_event())
-                self._device.set_stream(self._side_streams[name], sync=False)
-
-        return fork
+        return partial(self._branches.fork, name)
 
     def end_fork(self, name: str) -> Callable[[], Any]:
         """Return a launch that on CUDA puts the following ones on the main stream, in parallel with the branch."""
-
-        def end_fork() -> None:
-            if self._has_branches:
-                self._branch_ends[name] = self._side_streams[name].record_event()
-                self._device.set_stream(self._main_stream, sync=False)
-
-        return end_fork
+        return partial(self._branches.end_fork, name)
 
     def join(self, name: str) -> Callable[[], Any]:
         """Return a launch that on CUDA lets the main stream wait for the launches between `fork` and `end_fork`."""
-
-        def join() -> None:
-            if self._has_branches:
-                self._main_stream.wait_event(self._branch_ends[name])
-
-        return join
+        return partial(self._branches.join, name)
 
     def run(self, name: str = PLAN) -> None:
         """Run all stages of `name` in order. On the CPU, `stage_ms` then holds the time of each stage [ms]."""
@@ -137,7 +166,7 @@ class LaunchSequence:
             device.stream.record_event(event, external=True)
             events.append((name, event))
 
-        with self._single_stream(), wp.ScopedDevice(device), wp.ScopedCapture() as capture:
+        with self._branches.disabled(), wp.ScopedDevice(device), wp.ScopedCapture() as capture:
             record_event("")
             launches = [launch for stage in self.stages[PLAN] for chunk in stage for launch in chunk]
             for i, (name, launch) in enumerate(launches):
@@ -158,21 +187,12 @@ class LaunchSequence:
 
         On the CPU there must be one worker.
         """
-        with self._single_stream(), wp.ScopedCapture(device=self._device, apic=True) as capture:
+        with self._branches.disabled(), wp.ScopedCapture(device=self._device, apic=True) as capture:
             self._run_eagerly(PLAN)
         return capture.graph
 
-    @contextmanager
-    def _single_stream(self) -> Iterator[None]:
-        """On CUDA, run everything on one stream."""
-        has_branches, self._has_branches = self._has_branches, False
-        try:
-            yield
-        finally:
-            self._has_branches = has_branches
-
     def _run_eagerly(self, name: str) -> None:
-        self._main_stream = self._device.stream if self._has_branches else None
+        self._branches.begin()
         self.stage_ms = {}
         for stage in self.stages[name]:
             chunks = deque(stage)

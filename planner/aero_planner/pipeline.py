@@ -84,16 +84,15 @@ class Pipeline(LaunchSequence):
         kinds = config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
         self._brake_index = kinds.index("brake") if "brake" in kinds else -1
-        self._cloud_stages = CloudStages(self, config, sizes, tuning, arrays)
-        self._duplicate_rows = self._cloud_stages.duplicate_rows
+        cloud_stages = CloudStages(self, config, sizes, tuning, arrays)  # not kept, since they refer to this object
+        self._duplicate_rows = cloud_stages.duplicate_rows
         self._records = PipelineRecords(arrays.inputs, arrays.outputs, arrays.work)
-        self._record_stages(arrays)
+        self._record_stages(arrays, cloud_stages)
 
     # --- the stages, in order ---
 
-    def _record_stages(self, arrays: PipelineArrays) -> None:
+    def _record_stages(self, arrays: PipelineArrays, cloud: CloudStages) -> None:
         """Record all launches. On CUDA, branches run in parallel with the stages up to their join."""
-        cloud = self._cloud_stages
         place_movers = self._place_movers()
         place_anchors = self.branch("anchors", *self._place_anchors())
         scan = cloud.scan_points()
@@ -107,7 +106,7 @@ class Pipeline(LaunchSequence):
             cloud.build_clearance_grid(),
             self.serial("guides", self.end_fork("grid"), self._make_guides()),
             self._optimize(),
-            *self._select_instance(),
+            *self._select_instance(cloud.pool_coarse_cells()),
         ]
         anchors = self.serial("anchors", *place_anchors)
         self.stages[PLAN] = [self.serial("anchors", *self.branch("movers", place_movers)), anchors, scan, *plan]
@@ -243,13 +242,13 @@ class Pipeline(LaunchSequence):
             block_dim=threads,
         )  # fmt: skip
 
-    def _select_instance(self) -> list[list[Chunk]]:
+    def _select_instance(self, pool_coarse_cells: Callable[[], Any]) -> list[list[Chunk]]:
         """Stage II: roll out the optimised controls, sum S2, find the clearance of the stops, and choose.
 
         On a CPU stops are only proven as far as the choice needs it. On CUDA their rollouts are the longest launch.
         """
         roll_out, evaluate, score = self._evaluate_instances()
-        pool = self.serial("partition", self._cloud_stages.pool_coarse_cells())  # only shown: no later stage needs it
+        pool = self.serial("partition", pool_coarse_cells)  # only shown: no later stage needs it
         if not self._tuning.is_cuda:
             prove = self._prove_stops()
             return [

@@ -2,8 +2,10 @@
 
 import csv
 import dataclasses
+import gc
 import json
 import signal
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -207,6 +209,21 @@ def test_memory_grows_linearly_with_the_batch(sparse):
     larger = dataclasses.replace(LIDAR, points_per_sweep=LIDAR.points_per_sweep + 1000)
     growth = device_bytes(2, sparse, CONFIG, larger) - device_bytes(1, sparse, CONFIG, larger)
     assert growth - (two - one) == pytest.approx(1000 * (31 * 12 + 30 * 4), abs=64)
+
+
+def test_memory_of_a_batch_does_not_wait_for_the_garbage_collector(sparse, device):
+    gc.disable()
+    try:
+        batch = FlightBatch([sparse] * 2, config=CONFIG, lidar=LIDAR, rules=FlightRules(time_limit=0.1), device=device)
+        batch.run()
+        planner, simulator = batch.planner, batch.simulator
+        arrays = (planner.workspace.sample_positions, planner.inputs.position, simulator.lidar.points, simulator.record)
+        held = [weakref.ref(array) for array in arrays]
+        planner.close()
+        del batch, planner, simulator, arrays
+        assert [reference() for reference in held] == [None] * 4
+    finally:
+        gc.enable()
 
 
 def test_one_configuration_per_flight(sparse):

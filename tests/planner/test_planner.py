@@ -1,3 +1,5 @@
+import gc
+import weakref
 from typing import Any
 
 import numpy as np
@@ -340,3 +342,22 @@ def test_plans_that_are_kept_are_read_later_as_they_were(device: str):
         assert_same(plan, case.plan(again))
     with pytest.raises(AttributeError, match="no attribute 'commands'"):
         getattr(kept[0], "commands")  # noqa: B009
+
+
+def test_device_memory_does_not_wait_for_the_garbage_collector(device: str):
+    """It does not know how much memory of a device a reference cycle holds."""
+    gc.disable()
+    try:
+        planner = Planner(config_of(), device=device)
+        random_case(0).plan(planner)
+        replaced = weakref.ref(planner.workspace.sample_positions)
+        planner.configure(config_of("paper"))
+        assert replaced() is None
+        random_case(0).plan(planner)
+        arrays = (planner.workspace.sample_positions, planner.outputs.positions, planner.points, planner.params)
+        held = [weakref.ref(array) for array in arrays]
+        planner.close()
+        del planner, arrays
+        assert [reference() for reference in held] == [None] * 4
+    finally:
+        gc.enable()
