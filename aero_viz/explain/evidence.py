@@ -208,8 +208,8 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     i, o, w, config = planner.inputs, planner.outputs, planner.workspace, planner.config
     if not planner.device.startswith("cpu"):
         return w.stop_clearance.numpy()[0].astype(np.float64)
-    names = ("position", "velocity", "quaternion", "acceleration", "disturbance", "drag", "command", "control")
-    drone = bundle(DroneState, **{name: getattr(w, name) for name in names})
+    names = ("position", "velocity", "quaternion", "acceleration", "command", "control")
+    drone = bundle(DroneState, **{name: getattr(w, name) for name in names}, disturbance=o.disturbance, drag=o.drag)
     moving = {name: getattr(o, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
     movers = bundle(Movers, **moving)
     names = ("controls", "positions", "velocities", "quaternions")

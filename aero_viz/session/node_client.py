@@ -176,6 +176,7 @@ class _FrameMaker:
             sweeps=Sweeps(np.array_split(points, max(int(values["sweeps"]), 1))),
             cloud_age=float(values["cloud_age"]),
         )
+        disturbance = values.get("disturbance")  # an older node does not send it
         plan_arrays: dict[str, Any] = {name: arrays[name] for name in PLAN_ARRAYS}
         plan = Plan(
             **plan_arrays,
@@ -183,6 +184,8 @@ class _FrameMaker:
             best=int(values["best"]),
             status=PlanStatus(values["status"]),
             dropped_points=int(values["dropped_points"]),
+            disturbance=None if disturbance is None else np.array(disturbance, dtype=np.float32),
+            drag=values.get("drag"),
             stage_ms=dict(values["stage_ms"]),
         )
         plan.command  # noqa: B018 - raises an error if the shapes are inconsistent

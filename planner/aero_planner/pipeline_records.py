@@ -53,12 +53,12 @@ class PipelineRecords:
                 velocity=arrays.velocity,
                 quaternion=arrays.quaternion,
                 acceleration=arrays.acceleration,
-                disturbance=arrays.disturbance,
-                drag=w.drag,
+                disturbance=disturbance,
+                drag=o.drag,
                 command=w.command,
                 control=w.control,
             )
-            for arrays in (i, w)
+            for arrays, disturbance in ((i, i.disturbance), (w, o.disturbance))
         )
         self.given_goal, self.goal = (
             bundle(

@@ -93,7 +93,7 @@ class Plan:
     """Result of one `Planner.plan` call. Its arrays are copies that no later call changes.
 
     There are M instances (anchors first) with K samples each, and N time steps of dt. With a batch, every array has a
-    leading axis B, and `best`, `status` and `dropped_points` are arrays of shape [B].
+    leading axis B, and `best`, `status`, `dropped_points` and `drag` are arrays of shape [B].
     """
 
     fine_range: Array
@@ -140,6 +140,11 @@ class Plan:
     status: PlanStatus | NDArray[np.int32]
     dropped_points: int | NDArray[np.int32]
     """Number of points that were not finite."""
+    disturbance: Array | None = None
+    """Acceleration besides thrust, gravity and drag that the plan counts on [m/s^2], shape [3], world frame; see
+    vehicle.disturbance_time. None in plans of a drone with an older version."""
+    drag: float | NDArray[np.float32] | None = None
+    """Deceleration per velocity that the plan counts on [1/s], see vehicle.drag_time. None as above."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
     samples: Array | None = None

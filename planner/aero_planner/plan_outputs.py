@@ -44,6 +44,8 @@ def make_plan(
         best=best if batched else int(best[0]),
         status=status if batched else PlanStatus(int(status[0])),
         dropped_points=dropped_points if batched else int(dropped_points[0]),
+        disturbance=arrays.per_drone(values["disturbance"]),
+        drag=values["drag"] if batched else float(values["drag"][0]),
         stage_ms=stage_ms,
         samples=None if samples is None else arrays.per_drone(samples),
         braking=arrays.braking(),

@@ -65,6 +65,21 @@ def test_dropped_ticks_are_reported(dashboard):
     assert "12 ticks dropped" in status_of(dashboard, dropped_ticks=12)
 
 
+@pytest.mark.parametrize(
+    ("disturbance", "drag", "text"),
+    [([0.3, 0.0, -0.4], 0.254, "0.25 1/s, 0.5 m/s²"), ([0.0, 0.0, 0.06], 0.0, "0.00 1/s, 0.1 m/s²")],
+)
+def test_estimated_drag_and_disturbance_are_shown(session, dashboard, disturbance: list[float], drag: float, text: str):
+    estimates = {"disturbance": np.array(disturbance, np.float32), "drag": drag}
+    assert text in status_of(dashboard, plan=dataclasses.replace(session.frame.plan, **estimates))
+
+
+@pytest.mark.parametrize(("disturbance", "drag"), [(np.full(3, 0.02, np.float32), 0.005), (None, None)])
+def test_estimates_that_are_small_or_unknown_are_not_shown(session, dashboard, disturbance, drag):
+    plan = dataclasses.replace(session.frame.plan, disturbance=disturbance, drag=drag)
+    assert "drag" not in status_of(dashboard, plan=plan)
+
+
 def test_a_page_without_rollouts_has_a_status_without_the_chart_of_their_costs(session, dashboard):
     assert "shorter is better" in status_of(dashboard)
     small = Dashboard(session, port=0, layers=[DroneLayer])

@@ -19,7 +19,7 @@ so that the differences of their accelerations from those of the last plan are n
 PLAN_ARRAYS = [
     "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
     "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
-    "goal_cost", "collision_cost", "clearance",
+    "goal_cost", "collision_cost", "clearance", "disturbance",
 ]  # fmt: skip
 
 
@@ -86,6 +86,7 @@ def assert_same(a: Plan, b: Plan) -> None:
     for name in PLAN_ARRAYS:
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
     assert (a.kinds, a.best, a.status, a.dropped_points) == (b.kinds, b.best, b.status, b.dropped_points)
+    assert a.drag == b.drag
 
 
 def exact(values: object) -> Array:

@@ -167,7 +167,7 @@ def test_a_batch_equals_single_planners(device: str):
             alone = case.plan(single, samples=True)
             for name in [*PLAN_ARRAYS, "samples", "command"]:
                 np.testing.assert_array_equal(getattr(together, name)[b], getattr(alone, name), err_msg=name)
-            for name in ("best", "status", "dropped_points"):
+            for name in ("best", "status", "dropped_points", "drag"):
                 assert getattr(together, name)[b] == getattr(alone, name)
 
 

@@ -38,6 +38,8 @@ def test_frames_hold_the_drones_plans(telemetry: Telemetry, records: list[PlanRe
         assert frame.index == record.number and frame.config == SMALL
         np.testing.assert_array_equal(frame.plan.positions, record.plan.positions)
         np.testing.assert_array_equal(frame.plan.command, record.plan.command)
+        np.testing.assert_array_equal(frame.plan.disturbance, record.plan.disturbance)
+        assert frame.plan.drag == record.plan.drag
         assert frame.plan.status is record.plan.status and frame.plan.kinds == record.plan.kinds
         np.testing.assert_array_equal(frame.observation.goal.position, record.goal)
         assert frame.observation.cloud_age == record.cloud_age

@@ -24,6 +24,10 @@ _SLOW = 1.1
 """Factor of delay from which a flight is reported as slow."""
 _SETTLE_TIME = 1.0
 """Time that `Frame.rate` averages over [s]. Within it, the rate still includes a pause or another speed."""
+_SMALL_DISTURBANCE = 0.05
+"""Least disturbance that is shown [m/s^2]."""
+_SMALL_DRAG = 0.01
+"""Least drag that is shown [1/s]."""
 
 
 class StatusPanel(Panel):
@@ -47,7 +51,7 @@ class StatusPanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         return [
-            (self.html, "content", markup.block(self._state(frame), _live(frame), _figures(frame))),
+            (self.html, "content", markup.block(self._state(frame), _live(frame), _figures(frame), _estimates(frame))),
             (self.costs, "content", markup.block(*self._charts(frame))),
             (self.stages, "content", markup.block(_stages(frame))),
             (self.key, "content", markup.legend(legend_entries(self.page.layers.values(), frame))),
@@ -127,6 +131,16 @@ def _figures(frame: Frame) -> str:
             ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
     )
+
+
+def _estimates(frame: Frame) -> str:
+    """Return what the planner counts on besides thrust and gravity; empty where there is none to speak of."""
+    plan = frame.plan
+    disturbance = 0.0 if plan.disturbance is None else float(np.linalg.norm(plan.disturbance))
+    drag = 0.0 if plan.drag is None else float(plan.drag)
+    if disturbance < _SMALL_DISTURBANCE and drag < _SMALL_DRAG:
+        return ""
+    return markup.heading("estimated drag and disturbance", f"{drag:.2f} 1/s, {disturbance:.1f} m/s²")
 
 
 def _stages(frame: Frame) -> str:

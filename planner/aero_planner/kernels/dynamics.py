@@ -1,7 +1,7 @@
 """Quadrotor model and its Runge-Kutta step.
 
-State x = [p, q, v], control u = (F_t, omega): dp = v, dq = 1/2 q (x) [0, omega], dv = R(q) [0, 0, F_t] / m + g + d - k v,
-with the disturbance d and the drag k that are estimated in flight; both are 0 in the paper.
+State x = [p, q, v], control u = (F_t, omega): dp = v, dq = 1/2 q (x) [0, omega],
+dv = R(q) [0, 0, F_t] / m + g + d - k v. Disturbance d and drag k are estimated in flight; they are 0 in the paper.
 With lags tau, u is the control in effect and follows the commands c: du = (c - u) / tau, for each component.
 Quaternions are wp.vec4 in the order w, x, y, z, body to world.
 """

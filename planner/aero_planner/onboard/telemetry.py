@@ -269,6 +269,8 @@ def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
         "best": int(plan.best),
         "status": int(plan.status),  # type: ignore[arg-type]
         "dropped_points": int(plan.dropped_points),
+        "disturbance": None if plan.disturbance is None else plan.disturbance.tolist(),
+        "drag": plan.drag,
         "stage_ms": plan.stage_ms,
         "plan_ms": record.plan_ms,
         "cloud_age": record.cloud_age,

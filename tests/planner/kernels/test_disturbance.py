@@ -58,7 +58,7 @@ def test_plans_do_not_count_on_what_slows_the_drone_down(device: str):
     for wind, counted in (((-1.0, 0.5, 0.0), (-0.64, 0.5, 0.48)), ((1.0, 0.5, 0.0), (1.0, 0.5, 0.0))):
         planner.reset()
         plan_in_wind(planner, np.array(wind), velocity=velocity)
-        np.testing.assert_allclose(planner.workspace.disturbance.numpy()[0], counted, atol=1e-3)
+        np.testing.assert_allclose(planner.outputs.disturbance.numpy()[0], counted, atol=1e-3)
 
 
 @pytest.mark.parametrize(("time", "wind", "plans"), [(0.0, np.ones(3), 4), (0.2, None, 4), (0.2, np.ones(3), 1)])
@@ -66,7 +66,7 @@ def test_there_is_no_disturbance_without_an_estimate(device: str, time: float, w
     """It is switched off, or no acceleration is known, or there is no plan before."""
     planner = make_planner(device, vehicle__disturbance_time=time)
     plan_in_wind(planner, wind, plans=plans)
-    assert not planner.workspace.mean_disturbance.numpy().any() and not planner.workspace.disturbance.numpy().any()
+    assert not planner.workspace.mean_disturbance.numpy().any() and not planner.outputs.disturbance.numpy().any()
 
 
 def test_it_is_forgotten_while_nothing_was_planned(device: str):
@@ -82,7 +82,7 @@ def test_a_disturbance_can_be_given(device: str):
     for given, believed in (((0.0, 0.3, -0.4), (0.0, 0.3, -0.4)), ((0.0, 0.0, -5.0), (0.0, 0.0, -3.0))):
         state = VehicleState(np.zeros(3), np.zeros(3), LEVEL, np.ones(3), disturbance=given)
         planner.plan(state, Goal([20.0, 3.0, 1.0]), NO_POINTS)
-        np.testing.assert_allclose(planner.workspace.disturbance.numpy()[0], believed, atol=1e-6)
+        np.testing.assert_allclose(planner.outputs.disturbance.numpy()[0], believed, atol=1e-6)
 
 
 @pytest.mark.parametrize(("drag", "wind"), [(0.25, (0.0, 0.0, 0.0)), (0.3, (-0.2, 0.6, 0.3)), (0.8, (0.0, 0.0, 0.0))])
@@ -94,7 +94,7 @@ def test_drag_and_disturbance_are_told_apart(device: str, drag: float, wind: tup
     square = 10.0 * (1.0 - np.exp(-2.0))
     np.testing.assert_allclose(planner.workspace.drag_means.numpy()[0], [min(drag, 0.5) * square, square], rtol=1e-4)
     believed = min(drag, 0.5) * square / (square + 1.0)
-    assert planner.workspace.drag.numpy()[0] == pytest.approx(believed, rel=1e-4)
+    assert planner.outputs.drag.numpy()[0] == pytest.approx(believed, rel=1e-4)
     rest = np.array(wind) + (believed - drag) * velocity
     np.testing.assert_allclose(planner.workspace.mean_disturbance.numpy()[0], rest, atol=1e-3)
 
@@ -102,12 +102,12 @@ def test_drag_and_disturbance_are_told_apart(device: str, drag: float, wind: tup
 def test_drag_is_not_negative_and_is_forgotten_in_a_new_flight(device: str):
     planner = make_planner(device, vehicle__drag_time=1.0)
     plan_in_wind(planner, np.zeros(3), drag=-0.25)
-    assert planner.workspace.drag.numpy()[0] == 0.0
+    assert planner.outputs.drag.numpy()[0] == 0.0
     plan_in_wind(planner, np.zeros(3), drag=0.25)
-    assert planner.workspace.drag.numpy()[0] > 0.1
+    assert planner.outputs.drag.numpy()[0] > 0.1
     planner.reset()
     plan_in_wind(planner, np.zeros(3), plans=1, drag=0.25)
-    assert planner.workspace.drag.numpy()[0] == 0.0
+    assert planner.outputs.drag.numpy()[0] == 0.0
 
 
 def test_drag_is_found_in_a_disturbance_that_is_given(device: str):
@@ -117,8 +117,8 @@ def test_drag_is_found_in_a_disturbance_that_is_given(device: str):
         given = np.array([0.5, 0.0, 0.0]) - 0.2 * velocity
         state = VehicleState(np.zeros(3), velocity, LEVEL, time=PERIOD * k, disturbance=given)
         planner.plan(state, Goal([20.0, 3.0, 1.0]), NO_POINTS)
-    assert planner.workspace.drag.numpy()[0] == pytest.approx(0.2, abs=0.01)
-    np.testing.assert_allclose(planner.workspace.disturbance.numpy()[0], [0.5, 0.0, 0.0], atol=0.05)
+    assert planner.outputs.drag.numpy()[0] == pytest.approx(0.2, abs=0.01)
+    np.testing.assert_allclose(planner.outputs.disturbance.numpy()[0], [0.5, 0.0, 0.0], atol=0.05)
 
 
 @pytest.mark.parametrize("drag", [0.0, 0.25])
@@ -129,8 +129,8 @@ def test_guides_rollouts_and_stops_count_on_them(device: str, delay: float, drag
     config, velocity, wind = planner.config, np.array([2.0, 1.0, 0.5]), np.array([0.5, -0.8, 0.6])
     plan = plan_in_wind(planner, wind, velocity=velocity, drag=drag)
     work, N = planner.workspace, config.sampling.steps
-    disturbance = work.disturbance.numpy()[0].astype(np.float64)
-    k = float(work.drag.numpy()[0])
+    assert plan.disturbance is not None and plan.drag is not None
+    disturbance, k = plan.disturbance.astype(np.float64), float(plan.drag)
     position, velocity, quaternion = (
         getattr(work, name).numpy()[0].astype(np.float64) for name in ("position", "velocity", "quaternion")
     )

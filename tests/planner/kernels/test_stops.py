@@ -19,7 +19,7 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
     i, o, w, M = planner.inputs, planner.outputs, planner.workspace, len(config.kinds)
     drone = bundle(
         DroneState, position=w.position, velocity=w.velocity, quaternion=w.quaternion, acceleration=w.acceleration,
-        disturbance=w.disturbance, drag=w.drag, command=w.command, control=w.control,
+        disturbance=o.disturbance, drag=o.drag, command=w.command, control=w.control,
     )  # fmt: skip
     rollouts = bundle(
         Rollouts, controls=o.controls, positions=o.positions, velocities=o.velocities, quaternions=o.quaternions
