@@ -140,7 +140,7 @@ def _estimates(frame: Frame) -> str:
     drag = 0.0 if plan.drag is None else float(plan.drag)
     if disturbance < _SMALL_DISTURBANCE and drag < _SMALL_DRAG:
         return ""
-    return markup.heading("estimated drag and disturbance", f"{drag:.2f} 1/s, {disturbance:.1f} m/s²")
+    return markup.heading("drag, disturbance", f"{drag:.2f} 1/s, {disturbance:.1f} m/s²")
 
 
 def _stages(frame: Frame) -> str:
