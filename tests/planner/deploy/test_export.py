@@ -184,7 +184,10 @@ def test_sigterm_while_the_temporary_folder_is_made_or_removed_leaves_nothing(
     command = [sys.executable, "-c", SIGNALLED, event, function, out, "--arch", "sm_12"]  # too old: ends with an error
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert (done.stdout, os.listdir(tmp_path)) == ("sent\n", []), done.stderr
-    assert done.returncode == 130 or (function == "rmtree" and done.returncode == 2)  # it may have ended already
+    if function == "mkdtemp":
+        assert done.returncode == 130
+    else:  # the program is ending because of the error, before or while the signal is sent again
+        assert done.returncode in (130, 2, -signal.SIGINT)
 
 
 @pytest.mark.parametrize(
