@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from aero_planner import VehicleState
 from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_messages
+from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import BagFile, Channel, Message
@@ -103,23 +104,19 @@ def convert(
             raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}.")
         first = contents.first or 0
         window = (first + start * 1e9, first + end * 1e9)
-        partial = target.with_name(target.name + ".part")
         try:
-            with partial.open("wb") as file:
+            with whole_file(target) as partial, partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
                 if recording is not None and recording.pose_origin in ("file", "odometry"):
                     output.write_poses(recording, window)
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
-            if not output.counts:
-                reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
-                raise UserError(f"Nothing of {source} is left to write: {reasons}.")
-            partial.replace(target)
+                if not output.counts:
+                    reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
+                    raise UserError(f"Nothing of {source} is left to write: {reasons}.")
         except OSError as error:
             raise UserError(f"Cannot write {target}: {error.strerror or error}.") from error
-        finally:
-            partial.unlink(missing_ok=True)
         return ConvertReport(
             str(target), sum(output.counts.values()), output.counts, output.left_out, target.stat().st_size
         )

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-import tempfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from aero_planner.output_files import whole_file
 from aero_viz.recordings.odometry import Motion
 
 _VERSION = 4
@@ -60,8 +60,6 @@ def save_motion(key: str, motion: Motion) -> None:
     folder = cache_folder()
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as temporary:
-            file = Path(temporary) / f"{key}.npz"
+        with whole_file(folder / f"{key}.npz") as partial:
             arrays: dict[str, Any] = {**motion._asdict(), "problems": np.array(motion.problems, dtype=str)}
-            np.savez_compressed(file, **arrays)
-            os.replace(file, folder / file.name)
+            np.savez_compressed(partial, **arrays)

@@ -1,9 +1,10 @@
-"""The check of files that a command or a function is about to write."""
+"""Files that a command or a function writes: checked before the work, and replaced as a whole after it."""
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 
@@ -44,3 +45,18 @@ def check_folder(path: Path) -> None:
         raise ValueError(f"There is no folder {path.parent}; create it first, or choose another place.")
     if not path.exists() and not os.access(folder, os.W_OK):
         raise ValueError(f"{path} cannot be written: its folder is read-only. Choose another folder.")
+
+
+@contextlib.contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """Yield a file to write, which replaces `path` at the end unless something fails.
+
+    Raises:
+        OSError: the file cannot be replaced, or what the caller raises.
+    """
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield partial
+        os.replace(partial, path)
+    finally:
+        partial.unlink(missing_ok=True)

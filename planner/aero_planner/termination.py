@@ -1,8 +1,8 @@
 """Signals that end a command: SIGTERM, which service managers and `timeout` send, acts as Ctrl-C: results are kept.
 
 Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
-flights, or in a callback of a weak reference. An exception while `tempfile` makes or removes a folder would leave it
-behind. A signal that arrives meanwhile is sent again a moment later.
+flights, or in a callback of a weak reference. An exception while a temporary folder or file is made or removed would
+leave it behind. A signal that arrives meanwhile is sent again a moment later.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 _received = threading.Event()
 _RETRY_AFTER = 0.01
 """Time after which a signal that would be ignored, or would leave files behind, is sent again [s]."""
-_UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile")
+_UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile", "aero_planner.output_files")
 """Modules whose functions are not interrupted: they run while an object is finalized, or make and remove files."""
 
 

@@ -1,11 +1,11 @@
-"""Files that cannot be written are refused before the work."""
+"""Files that cannot be written are refused before the work, and others are replaced as a whole."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-from aero_planner.output_files import check_folder, check_output_files
+from aero_planner.output_files import check_folder, check_output_files, whole_file
 
 
 @pytest.fixture
@@ -37,3 +37,15 @@ def test_a_device_in_a_read_only_folder_has_permissions_of_its_own(tmp_path: Pat
 def test_two_outputs_need_two_files(tmp_path: Path):
     with pytest.raises(ValueError, match="cannot hold two outputs"):
         check_output_files(tmp_path / "a", overwrite=False, derived=[tmp_path / "a"])
+
+
+def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path):
+    path = tmp_path / "out.txt"
+    with whole_file(path) as partial:
+        partial.write_text("first")
+        assert not path.exists() and partial.suffix == ".txt"
+    for error in (KeyboardInterrupt, OSError):
+        with pytest.raises(error), whole_file(path) as partial:
+            partial.write_text("second")
+            raise error
+    assert path.read_text() == "first" and os.listdir(tmp_path) == ["out.txt"]

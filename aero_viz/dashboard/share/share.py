@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from aero_planner import PlannerConfig
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_output_files, whole_file
 from aero_viz.dashboard.history import true_clearance
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
@@ -152,14 +151,11 @@ def _write_picture(session: Session, frames: Iterable[Frame], path: Path, layers
 @contextlib.contextmanager
 def _complete(path: Path) -> Iterator[Path]:
     """Yield a file to write, which replaces `path` at the end unless something fails."""
-    partial = path.with_name(f".{path.stem}.partial{path.suffix}")
     try:
-        yield partial
-        os.replace(partial, path)
+        with whole_file(path) as partial:
+            yield partial
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}.") from error
-    finally:
-        partial.unlink(missing_ok=True)
 
 
 def _in_thread(action: Callable[[], T]) -> T:

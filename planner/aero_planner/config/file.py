@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-import tempfile
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,7 @@ from typing import TypeVar
 from aero_planner.config.parameter import ParameterInfo, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
+from aero_planner.output_files import whole_file
 from aero_planner.user_file import open_user_file
 
 Config = TypeVar("Config", bound=SectionedConfig)
@@ -188,15 +188,11 @@ def write_text(text: str, path: str | os.PathLike[str]) -> None:
     Raises:
         ValueError: the file can't be written.
     """
-    target = Path(path).resolve()
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{target.name}.", dir=target.parent) as folder:
-            temporary = Path(folder) / target.name
-            with temporary.open("w", encoding="utf-8", newline="\n") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
+        with whole_file(Path(path).resolve()) as partial, partial.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
     except OSError as error:
         raise ValueError(f"{path} can't be written: {error.strerror or error}.") from error
 
