@@ -6,6 +6,7 @@ import warp as wp
 
 from aero_planner.kernels.anchors import flown_controls, time_since_plan
 from aero_planner.kernels.dynamics import (
+    lag_share,
     lag_shares,
     lagged_control,
     mean_lag_shares,
@@ -23,7 +24,7 @@ _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
 _LARGEST_DRAG = wp.constant(0.5)
 """Largest drag that is believed [1/s]."""
-_DRAG_FREE_SPEED = wp.constant(1.0)
+_HALF_BELIEVED_SPEED = wp.constant(1.0)
 """Speed of flights at which half of the estimated drag is believed [m/s]: slow flights hardly show it."""
 _LARGEST_DISTURBANCE = wp.constant(3.0)
 """Largest unexplained acceleration that is believed [m/s^2]: the drone may not fly what was planned."""
@@ -114,15 +115,15 @@ def predict_state(
     drag = float(0.0)
     if c.drag_time > 0.0:
         if is_known and since >= 0.0:
-            means += (1.0 - wp.exp(-since / c.drag_time)) * (drag_sample(unexplained, v) - means)
-        drag = wp.max(means[0], 0.0) / (means[1] + _DRAG_FREE_SPEED * _DRAG_FREE_SPEED)
+            means += (1.0 - lag_share(c.drag_time, since)) * (drag_sample(unexplained, v) - means)
+        drag = wp.max(means[0], 0.0) / (means[1] + _HALF_BELIEVED_SPEED * _HALF_BELIEVED_SPEED)
     drag_means[b] = means
     disturbance = no_disturbance
     if c.disturbance_time > 0.0 and is_known:
         disturbance = believed_disturbance(unexplained + drag * v)
         if not is_given:
             mean_before = mean_disturbance[b]
-            disturbance = mean_before + (1.0 - wp.exp(-since / c.disturbance_time)) * (disturbance - mean_before)
+            disturbance = mean_before + (1.0 - lag_share(c.disturbance_time, since)) * (disturbance - mean_before)
     if wp.isnan(acceleration[0]):
         acceleration = disturbance - drag * v
     counted = counted_disturbance(disturbance, v)

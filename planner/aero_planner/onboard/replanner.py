@@ -254,8 +254,8 @@ class Replanner:
             motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle, self._response)
         command = self._command_at(motion.time, snapshot)
         control = command if motion.control is None else motion.control
-        counts = vehicle.disturbance_time > 0.0 or vehicle.drag_time > 0.0
-        disturbance = snapshot.disturbance if counts else np.zeros(3)
+        is_counted = vehicle.disturbance_time > 0.0 or vehicle.drag_time > 0.0
+        disturbance = snapshot.disturbance if is_counted else np.zeros(3)
         accel = np.zeros(3) if control is None else acceleration(motion.quaternion, float(control[0]), vehicle)
         return VehicleState(
             motion.position, motion.velocity, motion.quaternion, accel + disturbance, motion.time, disturbance
