@@ -16,7 +16,8 @@ from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.records import DroneState, bundle
 from aero_planner.kernels.records import Rollouts as StateRollouts
-from aero_planner.kernels.stops import evaluate_stops, roll_out_stops
+from aero_planner.kernels.stop_proof import evaluate_stops
+from aero_planner.kernels.stops import roll_out_stops
 from aero_viz.errors import UserError
 from aero_viz.explain.terms import (
     Obstacles,

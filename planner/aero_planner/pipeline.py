@@ -26,6 +26,7 @@ from aero_planner.kernels import (
     prediction,
     sample_clearance,
     selection,
+    stop_proof,
     stops,
 )
 from aero_planner.kernels.kernel_tuning import KernelTuning
@@ -40,7 +41,7 @@ PLAN_AND_ARRIVAL = "plan and arrival"
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     """Return every kernel made for a tuning, for one drone and for many, and the block size of its launches."""
     many = tuning.for_batch(1024)
-    for_cpu = [(stops.prove_stops(many), 256), (sample_clearance.query_sample_vectors(tuning), 256)]
+    for_cpu = [(stop_proof.prove_stops(many), 256), (sample_clearance.query_sample_vectors(tuning), 256)]
     return ([] if tuning.is_cuda else for_cpu) + [
         (partition.scatter_points(tuning), 256),
         (clearance.fill_rows(tuning), 256),
@@ -54,8 +55,8 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
         (selection.evaluate_states(tuning), 32),
         (selection.evaluate_states(many), 32),
         (selection.score_instances(tuning), 32),
-        (stops.evaluate_stops(tuning), 32),
-        (stops.evaluate_stops(many), 32),
+        (stop_proof.evaluate_stops(tuning), 32),
+        (stop_proof.evaluate_stops(many), 32),
     ]
 
 
@@ -298,12 +299,12 @@ class Pipeline(LaunchSequence):
     def _prove_stops(self) -> Callable[[], Any]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         return self.record(
-            stops.prove_stops(self._batch_tuning),
+            stop_proof.prove_stops(self._batch_tuning),
             (sizes.B,),
             inputs=[
                 r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts, w.cell_ends,
-                w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores,
+                w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores, w.stop_ready,
             ],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
         )  # fmt: skip
@@ -318,7 +319,7 @@ class Pipeline(LaunchSequence):
             block_dim=32,
         )
         evaluate = self.record(
-            stops.evaluate_stops(self._batch_tuning),
+            stop_proof.evaluate_stops(self._batch_tuning),
             (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_query),
             inputs=[
                 i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,

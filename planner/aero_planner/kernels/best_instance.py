@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.kernels.params import Params
-from aero_planner.kernels.stops import STOPS, safe_clearances
+from aero_planner.kernels.stops import STOPS, safe_clearances, widest_stop_limit
 from aero_planner.plan import PlanStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -32,7 +32,8 @@ def select_best(
     An instance is safe if it stays `safe_clearance` away from every point, see `safe_clearances`. If the status is not
     OK, the braking candidate with the largest clearance is flown, among those that are clear of what stands if there
     are any: what seems to move may be an error. It replaces the "brake" instance, or the selected one if there is no
-    such instance.
+    such instance. If no braking candidate is clear of what stands, and a stop of an instance keeps a larger clearance
+    than all of them and `widest_stop_limit`, that instance is flown, and that stop is kept.
 
     Returns:
         Index of the selected instance, index of the row that is flown, index of the replaced instance or -1, status,
@@ -43,6 +44,8 @@ def select_best(
     best_stop = int(0)
     lowest = instance_scores[b, 0][0]
     best_safe = instance_scores[b, 0][1] >= safe
+    widest = widest_stop_limit(stop_safe, c)
+    widest_stop = int(-1)
     for m in range(instances):
         score = instance_scores[b, m]
         is_safe = score[1] >= safe
@@ -55,6 +58,10 @@ def select_best(
                 if d > largest and largest < stop_safe:
                     largest = d
                     clear_stop = j
+            for j in range(STOPS):
+                if stop_clearance[b, m * STOPS + j] > widest:
+                    widest = stop_clearance[b, m * STOPS + j]
+                    widest_stop = m * STOPS + j
             has_stop = largest >= stop_safe
             is_safe = has_stop and (is_safe or c.prove_stop == 2)
         better = score[0] < lowest
@@ -91,4 +98,9 @@ def select_best(
         is_proof_valid = may_fly_stop and instance_scores[b, proven][2] >= stop_safe
         if is_proof_valid and (largest_clearance < stop_safe or instance_scores[b, proven][1] >= stop_safe):
             flown = proven
+        elif status == NO_SAFE_CANDIDATE and not is_clear and widest_stop >= 0 and widest > largest_clearance:
+            best = widest_stop // STOPS
+            flown = best
+            replaced = -1
+            best_stop = widest_stop % STOPS
     return best, flown, replaced, status, best_stop

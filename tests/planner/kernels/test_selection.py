@@ -60,8 +60,9 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
     for fan in (0.0, 20.0):
         # Too wide a berth for any candidate, so that it brakes.
         config = config_of(
-            candidates__brake_fan=fan, candidates__safe_clearance=1.5, costs__distance_max=0.55, sampling__dt=0.05
-        )
+            candidates__brake_fan=fan, candidates__safe_clearance=1.5, costs__distance_max=0.55, sampling__dt=0.05,
+            candidates__prove_stop="off",
+        )  # fmt: skip
         plan = case.plan(Planner(config, device=device))
         assert plan.status == PlanStatus.NO_SAFE_CANDIDATE and plan.kinds[plan.best] == "brake"
         assert np.linalg.norm(plan.velocities[plan.best, -1]) < 2.0
@@ -115,16 +116,31 @@ def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, cou
 
 @wp.kernel
 def select_kernel(
+    instances: int,
     params: wp.array(dtype=Params),
     instance_scores: wp.array2d(dtype=wp.vec3),
     stop_clearance: wp.array2d(dtype=float),
-    flown: wp.array(dtype=int),
+    choice: wp.array(dtype=int),
 ):
-    b = int(wp.tid())  # type: ignore[arg-type]
-    _best, row, _replaced, _status, _stop = select_best(
-        b, 1, 0, 1.0, 0.0, params[0], 1, instance_scores, stop_clearance
+    best, flown, replaced, status, stop = select_best(
+        0, instances, 0, 1.0, 0.0, params[0], 1, instance_scores, stop_clearance
     )
-    flown[b] = row
+    choice[0] = best
+    choice[1] = flown
+    choice[2] = replaced
+    choice[3] = status
+    choice[4] = stop
+
+
+def select(planner: Planner, scores: list[tuple[float, float, float]], stops: np.ndarray) -> list[int]:
+    """Return instance, row, replaced instance, status and stop that `select_best` returns; `stops` is [M, STOPS]."""
+    choice = wp.empty(5, dtype=int, device=planner.device)
+    arrays = [
+        wp.array([scores], dtype=wp.vec3, device=planner.device),
+        wp.array(stops.reshape(1, -1), dtype=float, device=planner.device),
+    ]
+    wp.launch(select_kernel, 1, inputs=[len(stops), planner.params, *arrays], outputs=[choice], device=planner.device)
+    return choice.numpy().tolist()
 
 
 @pytest.mark.parametrize(
@@ -144,8 +160,29 @@ def test_braking_candidates_are_chosen_by_what_stands_first(
     """`braking` are the clearances with and without what moves; the last candidate is the proven stop."""
     planner = Planner(config_of(), device=device)
     rows = [(0.0, -1.0, -1.0), *((0.0, *clearances) for clearances in braking)]
-    scores = wp.array([rows], dtype=wp.vec3, device=device)
-    no_stops = wp.full((1, int(STOPS)), -1.0, dtype=float, device=device)
-    out = wp.empty(1, dtype=int, device=device)
-    wp.launch(select_kernel, 1, inputs=[planner.params, scores, no_stops], outputs=[out], device=device)
-    assert out.numpy()[0] == flown
+    assert select(planner, rows, np.full((1, int(STOPS)), -1.0))[1] == flown
+
+
+@pytest.mark.parametrize(
+    ("braking", "widest", "is_flown"),
+    [
+        (0.20, 0.25, True),
+        (0.26, 0.25, False),  # braking keeps a larger clearance
+        (0.30, 0.25, False),  # braking is clear
+        (0.05, 0.13, False),  # contact is certain, and braking makes it slow
+    ],
+)
+@pytest.mark.parametrize("proof", ["instead", "required"])
+def test_where_no_braking_is_clear_the_instance_with_the_widest_stop_is_flown(
+    device: str, braking: float, widest: float, is_flown: bool, proof: str
+):
+    planner = Planner(config_of(candidates__prove_stop=proof), device=device)
+    rows = [(5.0, 0.2, 0.2), (1.0, 0.1, 0.1), (9.0, 0.0, 0.0), *[(0.0, braking, braking)] * 6]
+    stops = np.full((3, int(STOPS)), 0.01)
+    stops[1, 0], stops[2, 4] = 0.12, widest
+    expected = [2, 2, -1, PlanStatus.NO_SAFE_CANDIDATE, 4]
+    chosen = select(planner, rows, stops)
+    if is_flown and proof == "instead":
+        assert chosen == expected
+    else:
+        assert chosen[0] == chosen[2] == 0 and chosen[1] >= 3  # a braking candidate replaces instance 0

@@ -10,7 +10,8 @@ from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, Rollouts, bundle
-from aero_planner.kernels.stops import STOPS, evaluate_stops, mover_allowances, roll_out_stops
+from aero_planner.kernels.stop_proof import evaluate_stops
+from aero_planner.kernels.stops import STOPS, mover_allowances, roll_out_stops
 from tests.planner.cases import config_of, random_case
 
 
@@ -67,6 +68,28 @@ def test_the_selection_is_that_among_all_stops(proof: str, prefer_safe: bool):
         kept = planner.workspace.stop_clearance.numpy().reshape(clearance.shape)[plan.best]
         assert kept[first] >= least and (kept[:first] < least).all()
     assert safe_plans > 5
+
+
+def test_the_widest_stop_is_the_widest_of_all():
+    """On a CPU the last stops are only evaluated as far as they may be the widest."""
+    config = config_of(candidates__brake=False)
+    planner, flown = Planner(config, threads=1), 0
+    least = config.candidates.stop_clearance
+    for seed in range(60):
+        planner.reset()
+        plan = random_case(seed, nearest=0.8 + 0.02 * (seed % 20), tilt=0.3, speed=6.0).plan(planner)
+        if plan.status == PlanStatus.OK or plan.kinds[plan.best] == "brake":
+            continue
+        flown += 1
+        assert plan.braking is not None
+        expected = clearance_of_all_stops(planner, config)
+        found = planner.workspace.stop_clearance.numpy().reshape(expected.shape)
+        assert plan.best == np.argmax(expected.max(axis=1))
+        assert found[plan.best].max() == expected.max() < least
+        assert (found >= expected).all()
+        braking = planner.workspace.instance_scores.numpy()[0, len(config.kinds) : -1]
+        assert braking[:, 1].max() < expected.max() and braking[:, 2].max() < least
+    assert flown > 2
 
 
 @wp.kernel
