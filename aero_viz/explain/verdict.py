@@ -45,6 +45,8 @@ def verdict(evidence: Evidence, instance: int) -> str:
         return "The cloud is too old: the drone brakes, whatever the candidates cost."
     if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
         flown = f"No candidate is safe: the drone flies a stop in place of instance {best}."
+        if plan.kinds[best] != "brake":
+            flown = f"No candidate is safe: the drone flies instance {best}, whose stop keeps the largest clearance."
         return flown if instance == best else f"{flown} {_unsafe(evidence, instance)}"
     if instance == best:
         return _won(evidence)

@@ -73,7 +73,7 @@ def test_a_point_that_an_obstacle_has_left_says_so(among_pillars):
 
 
 def test_a_click_behind_everything_picks_a_point_or_nothing(frame):
-    low = frame.observation.points[frame.observation.points[:, 0] < -0.9].astype(np.float64)[0]
+    low = frame.observation.points[frame.observation.points[:, 0] < -0.9].astype(np.float64)[-1]
     picked = pick(frame, EYE, toward(low))
     assert picked is not None and picked.kind == "point"
     assert np.linalg.norm(np.cross(picked.point - EYE, toward(low))) < 0.1

@@ -33,7 +33,7 @@ def test_shapes_and_types(device: str):
     plan = random_case(0).plan(Planner(config_of(), device=device), samples=True)
     M, N, K = 17, 25, 16
     shapes = {
-        "fine_range": (70, 140), "safe_range": (10, 20), "safe_direction": (10, 20, 3), "initial_endpoints": (M, 3),
+        "fine_range": (80, 160), "safe_range": (10, 20), "safe_direction": (10, 20, 3), "initial_endpoints": (M, 3),
         "anchors": (M, 3), "guide_coefficients": (M, 3, 6), "guides": (M, N + 1, 3), "controls": (M, N, 4),
         "positions": (M, N + 1, 3), "velocities": (M, N + 1, 3), "quaternions": (M, N + 1, 4), "stage1_cost": (M, K),
         "stage2_cost": (M,), "goal_cost": (M,), "collision_cost": (M,), "clearance": (M, N),

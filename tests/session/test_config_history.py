@@ -21,8 +21,8 @@ def test_a_change_after_undo_discards_what_was_undone():
     history = ConfigHistory(PlannerConfig())
     history.change({"costs.q_track": 1.0})
     history.go(-1)
-    history.change({"costs.q_track": 3.0})
-    assert history.go(+1).costs.q_track == 3.0
+    history.change({"costs.q_track": 2.0})
+    assert history.go(+1).costs.q_track == 2.0
 
 
 def test_a_refused_change_leaves_the_configuration():

@@ -88,7 +88,7 @@ def test_going_back_repeats_the_flight_bit_for_bit(session: Session):
 def test_changed_weights_change_the_flight_after_a_step_back(session: Session):
     frames = run(session, 12)
     session.step(-8).result()
-    session.configure({"costs.q_position": 30.0})
+    session.configure({"costs.q_control": 30.0})
     again = run(session, 8)
     assert again[-1].index == frames[-1].index
     assert not np.array_equal(again[-1].trail, frames[-1].trail)

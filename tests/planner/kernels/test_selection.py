@@ -35,6 +35,7 @@ def test_safety_is_checked_between_the_states(device: str, between: bool):
     changes |= {"partition.continue_below": 0.0, "partition.continue_above": 0.0}
     changes |= {"costs.waypoint_distance": 3.0, "sampling.dt": 0.05}
     changes |= {"costs.soft_weight": 100.0, "costs.q_speed": 10.0}  # higher ones keep all plans away from the posts
+    changes |= {"partition.fine_cells": 7, "costs.q_track": 5.0, "sampling.variance_thrust": 1.0}
     config = config_of(candidates__between_steps=between).replace(changes)
     planner, slipped, chosen = Planner(config, device=device), 0, 0
     for seed in range(60):
@@ -61,7 +62,7 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
         # Too wide a berth for any candidate, so that it brakes.
         config = config_of(
             candidates__brake_fan=fan, candidates__safe_clearance=1.5, costs__distance_max=0.55, sampling__dt=0.05,
-            candidates__prove_stop="off",
+            candidates__prove_stop="off", candidates__brake_reach=0.35,
         )  # fmt: skip
         plan = case.plan(Planner(config, device=device))
         assert plan.status == PlanStatus.NO_SAFE_CANDIDATE and plan.kinds[plan.best] == "brake"

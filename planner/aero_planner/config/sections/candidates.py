@@ -44,9 +44,9 @@ class CandidateConfig(ParameterSection, section="candidates"):
     )  # fmt: skip
     prove_stop: str = choice(
         "instead", ("off", "required", "instead"),
-        "Fly a candidate only while a clear stop remains: a braking manoeuvre that leaves it now or later. Otherwise "
-        "the drone flies the stop that was proven last, while that is clear of static obstacles. Instead: such a "
-        "candidate need not itself be clear beyond the point at which its stop begins.",
+        "Fly a candidate only while a clear stop remains, a braking manoeuvre now or later. Otherwise fly the stop "
+        "proven last, while that is clear of static obstacles. Instead: the candidate need not be clear "
+        "beyond its stop, and if no braking is clear either, the one with the widest stop is flown.",
         label="Proven stop",
     )  # fmt: skip
     stop_clearance: float = live(
@@ -61,7 +61,7 @@ class CandidateConfig(ParameterSection, section="candidates"):
         label="Speed after a stop",
     )  # fmt: skip
     brake_reach: float = live(
-        0.35, "", 0.1, 1.0, "Length of the braking guide as a fraction of v T; smaller values brake harder.",
+        0.33, "", 0.1, 1.0, "Length of the braking guide as a fraction of v T; smaller values brake harder.",
         label="Braking distance factor",
     )  # fmt: skip
     brake_fan: float = live(

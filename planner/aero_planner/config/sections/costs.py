@@ -33,7 +33,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Speed weight", symbol="Q_vnorm", group="Tracking and effort",
     )  # fmt: skip
     q_track: float = live(
-        5.0, "1/m", 0.0, 1e3, "Weight of the distance to the guide; 15 in the paper.",
+        3.0, "1/m", 0.0, 1e3, "Weight of the distance to the guide; 15 in the paper.",
         label="Guide tracking weight", symbol="Q_track", group="Tracking and effort", basic=True,
     )  # fmt: skip
     q_control: float = live(

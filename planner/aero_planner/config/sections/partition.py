@@ -93,7 +93,7 @@ class PartitionConfig(ParameterSection, section="partition"):
         label="Growth of moving obstacles",
     )  # fmt: skip
     fine_cells: int = structural(
-        7, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg, as in the paper.",
+        8, 2, 18, "Fine cells along each side of a coarse cell; 6 divide 18 deg into cells of 3 deg, as in the paper.",
         label="Fine cells per coarse cell", symbol="n",
     )  # fmt: skip
     coarse_columns: int = structural(20, 8, 40, "Coarse cells around the horizon; 20 are 18 deg wide each.")

@@ -24,7 +24,7 @@ class SamplingConfig(ParameterSection, section="sampling"):
         scale="log", symbol="lambda", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_thrust: float = live(
-        1.0, "N^2", 0.0, 100.0, "Variance of the noise on the thrust.",
+        0.5, "N^2", 0.0, 100.0, "Variance of the noise on the thrust; 1 in the paper.",
         label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights", basic=True,
     )  # fmt: skip
     variance_rate_xy: float = live(
