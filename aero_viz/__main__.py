@@ -1,8 +1,15 @@
-"""Run `aero-viz` as `python -m aero_viz`."""
+"""The entry point of `aero-viz` and of `python -m aero_viz`. It imports nothing before it handles Ctrl-C."""
 
-from __future__ import annotations
 
-from aero_viz.cli import main
+def main() -> None:
+    """Run the command line. The exit code is 130 after Ctrl-C, also while the command line is imported."""
+    try:
+        from aero_viz.cli import main as run
+
+        run()
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+
 
 if __name__ == "__main__":
     main()

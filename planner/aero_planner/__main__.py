@@ -1,10 +1,15 @@
-"""Entry point of `python -m aero_planner`, which is the same as `aero-planner`."""
+"""The entry point of `aero-planner` and of `python -m aero_planner`. It imports nothing before it handles Ctrl-C."""
 
-from __future__ import annotations
 
-import sys
+def main() -> int:
+    """Run the command line and return its exit code: 130 after Ctrl-C, also while the command line is imported."""
+    try:
+        from aero_planner.cli import main as run
 
-from aero_planner.cli import main
+        return run()
+    except KeyboardInterrupt:
+        return 130
+
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -129,13 +129,15 @@ def test_completion_scripts_contain_the_flags(capsys: pytest.CaptureFixture[str]
 
 
 START = {
-    "the script": "from aero_viz.cli import main; sys.exit(main())",
+    "the script": "from aero_viz.__main__ import main; sys.exit(main())",
     "the module": "import runpy; runpy.run_module('aero_viz', run_name='__main__')",
 }
 
 
 @pytest.mark.parametrize("start", START.values(), ids=START)
-@pytest.mark.parametrize("module", ["warp", "tyro", "aero_viz.cli.page", "viser"])
+@pytest.mark.parametrize(
+    "module", ["aero_viz.cli", "aero_planner.termination", "warp", "tyro", "aero_viz.cli.page", "viser"]
+)
 def test_ctrl_c_during_start_up_ends_quietly(start: str, module: str):
     done = interrupted_at_import(module, start, "aero-viz", "demo", "--port", "0")
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "")

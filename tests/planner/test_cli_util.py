@@ -8,7 +8,7 @@ from aero_planner.cli_util import quick_imports
 from tests.planner.interruption import interrupted_at_import
 
 START = {
-    "the script": "from aero_planner.cli import main; sys.exit(main())",
+    "the script": "from aero_planner.__main__ import main; sys.exit(main())",
     "the module": "import runpy; runpy.run_module('aero_planner', run_name='__main__')",
 }
 
@@ -17,6 +17,9 @@ START = {
 @pytest.mark.parametrize(
     ("call", "module"),
     [
+        ("config show", "aero_planner.cli"),
+        ("config show", "argparse"),
+        ("config show", "aero_planner.termination"),
         ("config show", "importlib.metadata"),
         ("config show", "aero_planner.config.file"),
         ("run", "numpy"),
