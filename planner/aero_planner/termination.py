@@ -1,8 +1,9 @@
 """Signals that end a command: SIGTERM, which service managers and `timeout` send, acts as Ctrl-C: results are kept.
 
 Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
-flights, or in a callback of a weak reference. An exception while a temporary folder or file is made or removed would
-leave it behind. A signal that arrives meanwhile is sent again a moment later.
+flights, or in a callback of a weak reference. Before version 3.12, it replaces one that is raised in `__set_name__`, as
+while a module with dataclasses is imported, by a RuntimeError. An exception while a temporary folder or file is made or
+removed would leave it behind. A signal that arrives meanwhile is sent again a moment later.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ _RETRY_AFTER = 0.01
 """Time after which a signal that would be ignored, or would leave files behind, is sent again [s]."""
 _UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile", "aero_planner.output_files")
 """Modules whose functions are not interrupted: they run while an object is finalized, or make and remove files."""
+_UNINTERRUPTED_METHODS = ("__del__", "__set_name__")
 
 
 def install_handler() -> None:
@@ -58,9 +60,9 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _is_uninterrupted(frame: FrameType | None) -> bool:
-    """Return True if the frame, or one that called it, finalizes an object or makes or removes a temporary file."""
+    """Return True if the frame, or one that called it, must not raise KeyboardInterrupt."""
     while frame is not None:
-        if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__") in _UNINTERRUPTED:
+        if frame.f_code.co_name in _UNINTERRUPTED_METHODS or frame.f_globals.get("__name__") in _UNINTERRUPTED:
             return True
         frame = frame.f_back
     return False

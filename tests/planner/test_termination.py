@@ -48,11 +48,17 @@ elif sys.argv[2] == "WeakSet":
     objects.add(value)
 elif sys.argv[2] == "callback":
     reference = weakref.ref(value, send)
-else:
+elif sys.argv[2] == "generator":
     value = generate()
     next(value)
+class Named:
+    def __set_name__(self, owner, name):
+        send()
+
 try:
     del value
+    if sys.argv[2] == "set_name":
+        type("Owner", (), {"name": Named()})
     time.sleep(20.0)
     print("lost")
 except KeyboardInterrupt:
@@ -62,16 +68,16 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize("finalizer", ["del", "finalize", "WeakSet", "callback", "generator"])
+@pytest.mark.parametrize("place", ["del", "finalize", "WeakSet", "callback", "generator", "set_name"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_an_object_is_finalized_is_not_lost(number: signal.Signals, finalizer: str):
-    command = [sys.executable, "-c", PROGRAM, str(int(number)), finalizer]
+def test_a_signal_that_python_would_ignore_or_replace_is_not_lost(number: signal.Signals, place: str):
+    command = [sys.executable, "-c", PROGRAM, str(int(number)), place]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
 
 
 def test_other_errors_of_finalizers_are_still_reported():
-    code = PROGRAM.split("try:\n    del")[0].replace("send()", "raise ValueError('broken')") + "del value\n"
+    code = PROGRAM.split("class Named")[0].replace("send()", "raise ValueError('broken')") + "del value\n"
     done = subprocess.run([sys.executable, "-c", code, "2", "del"], capture_output=True, text=True, timeout=60.0)
     assert done.returncode == 0 and done.stderr.endswith("ValueError: broken\n"), done.stderr
 
