@@ -129,6 +129,12 @@ def test_a_flood_of_clicks_becomes_few_commands_and_hides_no_other_click(desk):
     release(desk)
 
 
+def test_a_click_on_pause_that_arrives_when_the_session_is_paused_does_not_resume_it(desk):
+    set_control(desk, "Pause", True)
+    release(desk)
+    assert desk.session.plays == 0 and not desk.session.playing
+
+
 def test_of_a_flood_of_values_few_are_handled_and_the_last_is_kept(desk):
     number, handled = desk.dashboard.server.gui.add_number("Number", 0), []
 

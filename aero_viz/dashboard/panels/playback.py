@@ -27,7 +27,14 @@ class PlaybackPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = Hold()
         hint = "Play or pause. Parameters change the plan while paused as well. Key: Space."
-        self.play_button = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint)
+        # Two buttons of which one is visible: a click on one whose label changes would do the opposite of what the page
+        # showed if the flight was paused, or ended, while the click was on its way.
+        self.play_button = gui.add_button(
+            "Play", icon=viser.Icon.PLAYER_PLAY, color="green", hint=hint, visible=not self.session.playing
+        )
+        self.pause_button = gui.add_button(
+            "Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint, visible=self.session.playing
+        )
         if self.session.controls is not None:
             self._add_restart(gui)
         self._steps = gui.add_button_group(
@@ -66,7 +73,11 @@ class PlaybackPanel(Panel):
     def _connect(self, gui: viser.GuiApi) -> None:
         @self.play_button.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self.toggle()
+            self.session.play()
+
+        @self.pause_button.on_click
+        async def _(_: viser.GuiEvent) -> None:
+            self.session.pause()
 
         @self._steps.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -126,11 +137,7 @@ class PlaybackPanel(Panel):
 
     def update_without_frame(self) -> list[Change]:
         playing = self.session.playing
-        return [
-            (self.play_button, "label", "Pause" if playing else "Play"),
-            (self.play_button, "icon", viser.Icon.PLAYER_PAUSE if playing else viser.Icon.PLAYER_PLAY),
-            (self.play_button, "color", "gray" if playing else "green"),
-        ]
+        return [(self.play_button, "visible", not playing), (self.pause_button, "visible", playing)]
 
     def update(self, frame: Frame) -> list[Change]:
         changes = self.update_without_frame()
