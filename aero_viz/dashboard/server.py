@@ -39,6 +39,7 @@ _QUEUED_FRAMES = 2
 """Largest number of pending messages of a client; the largest message, a rendering, takes 50 MB."""
 
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
+_SECTION = '.mantine-Tabs-root[style*="border-top"]'
 _STYLE = "".join(
     (
         ':root[data-mantine-color-scheme="dark"]{',
@@ -64,7 +65,9 @@ _STYLE = "".join(
         '.mantine-Paper-root[style*="position: absolute"]{max-width:calc(100vw - 384px)}',
         '@media(max-width:36em){.mantine-Paper-root[style*="max-height: 60%"]'
         "{width:100%!important;max-height:40%!important}"
-        '.mantine-ScrollArea-content>[style="width: 20em;"]{width:100%!important}}',
+        '.mantine-ScrollArea-content>[style="width: 20em;"]{width:100%!important}'
+        # The status is a section of that sheet, which viser puts below all controls: it comes first instead.
+        f":has(>div>{_SECTION}){{display:flex;flex-direction:column}}:has(>{_SECTION}){{order:-1}}}}",
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
         "div:has(>.mantine-Text-root>label:empty){display:none}",
         "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",

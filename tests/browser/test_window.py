@@ -1,7 +1,11 @@
 """The page in a small window."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pytest
+from playwright.sync_api import Locator
 
 from aero_viz.scenes import SCENES
 from tests.browser.desk import Desk
@@ -92,4 +96,24 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(r
     resize(1000)
     rows = {tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()}
     assert len(rows) == 1, "all tabs of the controls are in one row"
+    desk.page.set_viewport_size({"width": 1000, "height": 600})
+
+
+def test_the_status_is_above_the_controls_of_a_phone_and_shown_by_one_tap(restored_desk):
+    desk = restored_desk
+    desk.page.set_viewport_size({"width": 390, "height": 844})
+    bar = desk.page.get_by_role("button", name="Expand panel Planner")
+
+    def box(of: Locator) -> Mapping[str, Any]:
+        return of.bounding_box() or {"x": 0.0, "y": np.inf, "width": 0.0, "height": 0.0}
+
+    desk.settled(lambda: box(bar)["y"], "the layout")
+    play = box(desk.page.get_by_role("button", name="Play", exact=True))
+    assert box(bar)["y"] + box(bar)["height"] <= play["y"] < 844 - play["height"]
+    bar.click()
+    figure = desk.page.get_by_text("distance to goal")
+    figure.wait_for()
+    assert desk.settled(lambda: box(figure)["y"], "the status") < 844 - box(figure)["height"]
+    desk.page.get_by_role("button", name="Collapse panel Planner").click()
+    bar.wait_for()
     desk.page.set_viewport_size({"width": 1000, "height": 600})
