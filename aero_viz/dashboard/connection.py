@@ -228,13 +228,21 @@ class PageConnection(ServerConnection):
         self._bytes_left -= size
         self._parts_left.remove(part.part_index)
 
+    def hide_upload(self) -> None:
+        """Remove the notification of the last upload. The page itself shows it, and says that the file was uploaded
+        successfully as soon as all of it has arrived."""
+        client = self._client()
+        if client is not None and self._upload is not None:
+            _hide_upload(client, self._upload)
+
     def _refuse_upload(self, start: UploadStart) -> None:
-        """Tell the client why, and end the display of the upload's progress."""
+        """Tell the client why, and end the upload on the page."""
         self._refused, client = start.transfer_uuid, self._client()
         if client is None:
             return
         sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
         client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
+        _hide_upload(client, start)
         client.add_notification(
             "Error",
             f"{start.filename} has {start.size_bytes / 1000:.0f} kB and is not uploaded: the page takes files of up to "
@@ -254,3 +262,8 @@ class PageConnection(ServerConnection):
         if not self._warned:
             self._warned = True
             _log.warning("%s", text)
+
+
+def _hide_upload(client: viser.ClientHandle, upload: UploadStart) -> None:
+    """Remove the notification that the page shows under this name. It does not come back with a later answer."""
+    client._websock_connection.queue_message(_messages.RemoveNotificationMessage(f"upload-{upload.transfer_uuid}"))

@@ -209,6 +209,12 @@ class LocalServer(viser.ViserServer):
 
         server.queue_message = queue_message  # type: ignore[method-assign]
 
+    def hide_upload(self, client: viser.ClientHandle) -> None:
+        """Remove the notification that a client's last upload was successful, since its file is refused."""
+        connection = self._websock_server._live_connections.get(client.client_id)
+        if isinstance(connection, PageConnection):
+            connection.hide_upload()
+
     @property
     def url(self) -> str:
         """Address of the page."""

@@ -14,7 +14,7 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import Baseline, differences
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
-from tests.dashboard.page_client import CAMERA, join, send, wait_for
+from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 
 def test_differences_show_old_and_new_value_and_the_flags():
@@ -75,6 +75,20 @@ def test_an_uploaded_file_keeps_what_is_known_about_the_flight():
         wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")
     changed = PlannerConfig().replace({"costs.q_track": 7.5})
     assert session.config == config_for_flight(changed, session.source) != changed
+    dashboard.close()
+    session.close()
+
+
+def test_the_page_is_told_not_to_call_the_upload_of_a_refused_file_successful():
+    session = Session(small_source(), config=small_config())
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        wait_for(dashboard.server.get_clients, "the client")
+        upload(dashboard, client, b"costs:\n  q_track: -3\n")
+        heard = read_until(client, "upload-a", timeout=60.0)
+    assert "RemoveNotificationMessage" in heard and "must be a number in" in heard
     dashboard.close()
     session.close()
 

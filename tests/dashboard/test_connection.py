@@ -168,7 +168,8 @@ def test_a_file_above_the_limit_is_refused_before_its_first_part(server, client,
     button, contents = uploads
     start_upload(client, button, 5 * LIMIT, parts=2)
     reason = "the page takes files of up to 1 kB. A recording is played with: aero-viz play FILE"
-    read_until(client, f"f.yaml has 5 kB and is not uploaded: {reason}")
+    heard = read_until(client, f"f.yaml has 5 kB and is not uploaded: {reason}")
+    assert "RemoveNotificationMessage" in heard and "upload-a" in heard, "the page would call the upload successful"
     assert not unfinished(server)
     send_part(client, button, b"a" * LIMIT)
     start_upload(client, button, 1, name="b")

@@ -144,7 +144,9 @@ class ConfigurationPanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             file = load.value
             # A large file takes a while, and the event loop serves all pages.
-            await asyncio.to_thread(self.page.attempt, lambda: self._load(file), event.client)
+            is_used = await asyncio.to_thread(self.page.attempt, lambda: self._load(file), event.client)
+            if not is_used and event.client is not None:
+                self.page.server.hide_upload(event.client)
 
     def _names(self) -> tuple[str, ...]:
         return (*PlannerConfig.presets(), *self._saved, _CHANGED)
