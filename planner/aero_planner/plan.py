@@ -59,8 +59,8 @@ class PlanStatus(enum.IntEnum):
     """The best candidate is safe: it keeps its clearance over the whole horizon, and a clear stop remains if
     candidates.prove_stop asks for one. With "instead", that stop is enough: beyond it the candidate may come close."""
     NO_SAFE_CANDIDATE = 1
-    """No candidate is safe; `controls[best]` is a braking sequence, or the stop that was proven last. With "instead", and
-    if none of these is clear of static obstacles, it may be the candidate whose stop keeps the largest clearance."""
+    """No candidate is safe; `controls[best]` is a braking sequence, or the stop that was proven last. With "instead",
+    where none of these is clear of static obstacles, it may be the candidate whose stop keeps the largest clearance."""
     STALE_CLOUD = 2
     """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
 
