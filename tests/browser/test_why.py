@@ -17,6 +17,7 @@ CONFIG = OPEN_ABOVE.replace({
     "anchors.lookahead_rest": 2.5, "anchors.slow_cycle": 3, "candidates.brake_fan": 20.0, "escape.q_escape": 120.0,
     "costs.q_control": 0.25, "costs.q_position": 6.0, "costs.q_speed": 100.0, "partition.fine_cells": 6,
     "sampling.dt": 0.05, "sampling.temperature": 0.03, "sampling.variance_rate_xy": 1.0,
+    "sampling.variance_thrust": 1.0, "candidates.brake_reach": 0.35, "costs.q_track": 5.0,
 })  # fmt: skip
 """With it, the flight ends at the ceiling, which was not seen."""
 

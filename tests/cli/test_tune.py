@@ -45,7 +45,7 @@ def test_json_is_complete_and_flags_reach_the_flights(
     )
     content = json.loads(text)
     assert code == 0 and text.count("\n") == 1
-    assert content["over"] == [{"path": "costs.q_track", "low": 1.25, "high": 20.0}]
+    assert content["over"] == [{"path": "costs.q_track", "low": 0.75, "high": 12.0}]
     assert (content["best"]["trial"], content["check"], content["interrupted"]) == (None, None, False)
     assert [candidate["flights"] for candidate in content["candidates"]] == [2, 2, 2, 2]
     assert content["simulation"]["rules"]["time_limit"] == 0.1 and content["simulation"]["vehicle"]["drag"] == 0.3

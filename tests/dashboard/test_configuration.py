@@ -21,7 +21,7 @@ def test_differences_show_old_and_new_value_and_the_flags():
     config = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.brake": False})
     html = differences(config, Baseline.from_config(PlannerConfig()))
     text = re.sub("<[^>]*>", " ", html)
-    assert "5.0 → 7.5" in text and "True → False" in text
+    assert "3.0 → 7.5" in text and "True → False" in text
     assert "--costs.q-track 7.5" in text and "--candidates.brake False" in text
 
 
