@@ -180,15 +180,16 @@ def test_opening_can_be_cancelled_and_many_clicks_open_one_source(desk, folder):
     wait_for(lambda: desk.session.source is not before, "another source")
 
 
-def test_a_click_while_a_source_is_about_to_be_shown_opens_the_next_one(desk, folder, monkeypatch):
-    set_source, is_read, go_on = Session.set_source, threading.Event(), threading.Event()
+@pytest.mark.parametrize("command", ["set_source", "configure"])
+def test_a_click_while_a_source_is_about_to_be_shown_opens_the_next_one(desk, folder, monkeypatch, command):
+    run_command, is_read, go_on = getattr(Session, command), threading.Event(), threading.Event()
 
     def hold(*arguments, **options):
         is_read.set()
         assert go_on.wait(60.0)
-        return set_source(*arguments, **options)
+        return run_command(*arguments, **options)
 
-    monkeypatch.setattr(Session, "set_source", hold)
+    monkeypatch.setattr(Session, command, hold)
     LATE.set()
     source_panel(desk).open_link(Link(Opening("late")), None)
     assert is_read.wait(60.0)

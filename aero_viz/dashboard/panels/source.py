@@ -225,11 +225,13 @@ class SourcePanel(Panel):
 
     def _go_to(self, link: Link, reader: ReaderProcess) -> None:
         """Use the configuration of a link from the start on, and fly to its time, or until that is cancelled."""
-        self._is_read = False
         self.session.pause()
         self._controls.configure(self.page.config_for_flight(PlannerConfig().replace(link.config)))
+        if link.time <= 0.0:
+            return
+        self._is_read = False  # the way there may be long, and can be cancelled
         with contextlib.suppress(CancelledError):
-            if link.time <= 0.0 or self.session.seek(link.time).exception() is not None:
+            if self.session.seek(link.time).exception() is not None:
                 return
             frame = self.session.frame
             while frame is not None and frame.outcome is None and frame.time < link.time - 0.5 * frame.source.period:
