@@ -24,6 +24,7 @@ _PAPER: dict[str, Value] = {
     "candidates.safe_clearance": 0.25,
     "candidates.prefer_safe": False,
     "candidates.prove_stop": "off",
+    "candidates.widest_stop": False,
     "candidates.speed_margin": 0.0,
     "candidates.between_steps": False,
     "candidates.brake_fan": 0.0,

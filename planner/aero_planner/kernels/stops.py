@@ -86,7 +86,8 @@ def widest_stop_limit(stop_safe: float, params: Params) -> float:
     With less than half of what is asked contact is certain, and braking makes it slow. Only candidates that need not be
     safe beyond their stop have such a stop.
     """
-    return wp.where(params.prove_stop == 2 and params.prefer_safe != 0, 0.5 * stop_safe, wp.INF)
+    is_preferred = params.widest_stop != 0 and params.prove_stop == 2 and params.prefer_safe != 0
+    return wp.where(is_preferred, 0.5 * stop_safe, wp.INF)
 
 
 @wp.func

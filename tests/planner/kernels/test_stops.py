@@ -77,7 +77,8 @@ def test_the_widest_stop_is_the_widest_of_all():
     least = config.candidates.stop_clearance
     for seed in range(60):
         planner.reset()
-        plan = random_case(seed, nearest=0.8 + 0.02 * (seed % 20), tilt=0.3, speed=6.0).plan(planner)
+        case = random_case(seed, nearest=0.8 + 0.02 * (seed % 20), tilt=0.3, speed=6.0)
+        plan = case.plan(planner)
         if plan.status == PlanStatus.OK or plan.kinds[plan.best] == "brake":
             continue
         flown += 1
@@ -89,6 +90,11 @@ def test_the_widest_stop_is_the_widest_of_all():
         assert (found >= expected).all()
         braking = planner.workspace.instance_scores.numpy()[0, len(config.kinds) : -1]
         assert braking[:, 1].max() < expected.max() and braking[:, 2].max() < least
+        planner.reset()
+        planner.configure(config.replace({"candidates.widest_stop": False}))
+        braked = case.plan(planner)
+        planner.configure(config)
+        assert braked.status != PlanStatus.OK and braked.kinds[braked.best] == "brake"
     assert flown > 2
 
 

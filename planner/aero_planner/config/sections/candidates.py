@@ -46,8 +46,14 @@ class CandidateConfig(ParameterSection, section="candidates"):
         "instead", ("off", "required", "instead"),
         "Fly a candidate only while a clear stop remains, a braking manoeuvre now or later. Otherwise fly the stop "
         "proven last, while that is clear of static obstacles. Instead: the candidate need not be clear "
-        "beyond its stop, and if no braking is clear either, the one with the widest stop is flown.",
+        "beyond its stop.",
         label="Proven stop",
+    )  # fmt: skip
+    widest_stop: bool = switch(
+        True, "If no candidate has a clear stop and no braking is clear either, fly the candidate whose stop keeps the "
+        "largest clearance, unless that is less than half of stop_clearance. Only with prefer_safe, and if the proven "
+        "stop is flown instead.",
+        label="Widest stop",
     )  # fmt: skip
     stop_clearance: float = live(
         0.28, "m", 0.0, 5.0, "Clearance of a proven stop, at most safe_clearance.", label="Clearance of a stop"
