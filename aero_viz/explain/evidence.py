@@ -219,7 +219,7 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     outputs = [wp.empty_like(array) for array in (w.stop_controls, w.stop_positions, w.stop_clearance)]
     with wp.ScopedDevice("cpu"):
         inputs = [drone, planner.params, w.plan_period, rollouts]
-        wp.launch(roll_out_stops, (1, count), inputs=inputs, outputs=outputs)
+        wp.launch(roll_out_stops(CPU), (1, count), inputs=inputs, outputs=outputs)
         inputs = [i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns]
         inputs += [o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1], w.state_terms]
         inputs += [w.standing_clearance]

@@ -90,6 +90,7 @@ class CloudStages:
             (sizes.B, 2, -(-sizes.F1 // sizes.W)),
             inputs=[self._params, sizes.F0, sizes.F1],
             outputs=[self._work.surfaces],
+            block_dim=32,
         )
 
     def continue_surfaces(self) -> list[Chunk]:
@@ -102,13 +103,16 @@ class CloudStages:
             outputs=[o.fine_range, o.occupied, o.filtered_points],
         )
 
-    def _shared(self, kernel: Any, size: tuple[int, ...], *, inputs: list[Any], outputs: list[Any]) -> list[Chunk]:
+    def _shared(
+        self, kernel: Any, size: tuple[int, ...], *, inputs: list[Any], outputs: list[Any], block_dim: int = 256
+    ) -> list[Chunk]:
         """Record a launch for every worker; its number and the number of workers come before `inputs`."""
         workers = self._sizes.W
-        return [
-            self._serial("partition", self._record(kernel, size, inputs=[worker, workers, *inputs], outputs=outputs))[0]
+        launches = [
+            self._record(kernel, size, inputs=[worker, workers, *inputs], outputs=outputs, block_dim=block_dim)
             for worker in range(workers)
         ]
+        return [chunk for launch in launches for chunk in self._serial("partition", launch)]
 
     def _threads(self, workers: int) -> tuple[int, int]:
         """Return the size of a launch in which the threads of `workers` workers share the fine cells."""

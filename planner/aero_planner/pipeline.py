@@ -55,6 +55,7 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
         (selection.evaluate_states(tuning), 32),
         (selection.evaluate_states(many), 32),
         (selection.score_instances(tuning), 32),
+        (stops.roll_out_stops(tuning), 32),
         (stop_proof.evaluate_stops(tuning), 32),
         (stop_proof.evaluate_stops(many), 32),
     ]
@@ -97,17 +98,19 @@ class Pipeline(LaunchSequence):
         place_movers = self._place_movers()
         place_anchors = self.branch("anchors", *self._place_anchors())
         scan = cloud.scan_points()
+        pool = self.serial("partition", *self.branch("pool", cloud.pool_coarse_cells()))  # no later stage needs it
         plan = [
             cloud.finish_fine_cells(),
             self.serial("partition", self.join("anchors")),
             cloud.find_surfaces(),
             cloud.find_nearest_surfaces(),
             cloud.continue_surfaces(),
+            *([pool] if self._device.is_cuda else []),
             self.serial("grid", self.fork("grid")),  # until the first clearance query
             cloud.build_clearance_grid(),
             self.serial("guides", self.end_fork("grid"), self._make_guides()),
             self._optimize(),
-            *self._select_instance(cloud.pool_coarse_cells()),
+            *self._select_instance(pool),
         ]
         anchors = self.serial("anchors", *place_anchors)
         self.stages[PLAN] = [self.serial("anchors", *self.branch("movers", place_movers)), anchors, scan, *plan]
@@ -243,13 +246,13 @@ class Pipeline(LaunchSequence):
             block_dim=threads,
         )  # fmt: skip
 
-    def _select_instance(self, pool_coarse_cells: Callable[[], Any]) -> list[list[Chunk]]:
+    def _select_instance(self, pool: list[Chunk]) -> list[list[Chunk]]:
         """Stage II: roll out the optimised controls, sum S2, find the clearance of the stops, and choose.
 
-        On a CPU stops are only proven as far as the choice needs it. On CUDA their rollouts are the longest launch.
+        On a CPU stops are only proven as far as the choice needs it, and `pool` runs beside the rollouts. On CUDA the
+        rollouts of the stops are the longest launch.
         """
         roll_out, evaluate, score = self._evaluate_instances()
-        pool = self.serial("partition", pool_coarse_cells)  # only shown: no later stage needs it
         if not self._tuning.is_cuda:
             prove = self._prove_stops()
             return [
@@ -259,9 +262,8 @@ class Pipeline(LaunchSequence):
         roll_out_stops, evaluate_stops = self._evaluate_all_stops()
         return [
             self.serial("stage2", roll_out, *self.branch("stops", roll_out_stops), evaluate),
-            pool,
             self.serial("stage2", self.join("stops"), *self.branch("score", score), evaluate_stops, self.join("score")),
-            self.serial("stage2", self._commit_plan()),
+            self.serial("stage2", self._commit_plan(), self.join("pool")),
         ]
 
     def _evaluate_instances(self) -> list[Callable[[], Any]]:
@@ -312,7 +314,7 @@ class Pipeline(LaunchSequence):
     def _evaluate_all_stops(self) -> list[Callable[[], Any]]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         roll_out = self.record(
-            stops.roll_out_stops,
+            stops.roll_out_stops(self._tuning),
             (sizes.B, sizes.M * sizes.J),
             inputs=[r.drone, self._params, w.plan_period, r.rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
@@ -320,7 +322,7 @@ class Pipeline(LaunchSequence):
         )
         evaluate = self.record(
             stop_proof.evaluate_stops(self._batch_tuning),
-            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_query),
+            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_stop_query),
             inputs=[
                 i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends,

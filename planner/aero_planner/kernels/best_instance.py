@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.stops import STOPS, safe_clearances, widest_stop_limit
 from aero_planner.plan import PlanStatus
@@ -13,6 +14,14 @@ wp.set_module_options({"enable_backward": False})
 OK = wp.constant(int(PlanStatus.OK))
 NO_SAFE_CANDIDATE = wp.constant(int(PlanStatus.NO_SAFE_CANDIDATE))
 STALE_CLOUD = wp.constant(int(PlanStatus.STALE_CLOUD))
+
+_PROVEN = wp.constant(int(BRAKING_CANDIDATES) - 1)
+"""The stop that was proven last is the last braking candidate."""
+_READ_WIDTH = wp.constant(4)
+"""Instances whose scores are read together, so that a GPU waits for memory once for all of them."""
+_Scores = wp.types.matrix(shape=(_READ_WIDTH, 3), dtype=wp.float32)
+_Clearances = wp.types.matrix(shape=(_READ_WIDTH, STOPS), dtype=wp.float32)
+_BrakingScores = wp.types.matrix(shape=(BRAKING_CANDIDATES, 3), dtype=wp.float32)
 
 
 @wp.func
@@ -42,36 +51,49 @@ def select_best(
     safe, stop_safe = safe_clearances(start_clearance, c)
     best = int(0)
     best_stop = int(0)
-    lowest = instance_scores[b, 0][0]
-    best_safe = instance_scores[b, 0][1] >= safe
+    lowest = float(wp.INF)
+    best_safe = bool(False)
     widest = widest_stop_limit(stop_safe, c)
     widest_stop = int(-1)
-    for m in range(instances):
-        score = instance_scores[b, m]
-        is_safe = score[1] >= safe
-        clear_stop = int(0)
-        if c.prove_stop != 0:
-            largest = stop_clearance[b, m * STOPS]
-            for j in range(1, STOPS):
-                d = stop_clearance[b, m * STOPS + j]
-                # The first clear stop is kept: what is still unseen may be in the way of a later one.
-                if d > largest and largest < stop_safe:
-                    largest = d
-                    clear_stop = j
+    braking = _BrakingScores()
+    for k in range(BRAKING_CANDIDATES):
+        for j in range(3):
+            braking[k, j] = instance_scores[b, instances + k][j]
+    scores = _Scores()
+    clearances = _Clearances()
+    for first in range(0, instances, _READ_WIDTH):
+        for k in range(_READ_WIDTH):
+            m = wp.min(first + k, instances - 1)
+            for j in range(3):
+                scores[k, j] = instance_scores[b, m][j]
             for j in range(STOPS):
-                if stop_clearance[b, m * STOPS + j] > widest:
-                    widest = stop_clearance[b, m * STOPS + j]
-                    widest_stop = m * STOPS + j
-            has_stop = largest >= stop_safe
-            is_safe = has_stop and (is_safe or c.prove_stop == 2)
-        better = score[0] < lowest
-        if c.prefer_safe != 0 and is_safe != best_safe:
-            better = is_safe
-        if better or m == 0:
-            best = m
-            best_stop = clear_stop
-            lowest = score[0]
-            best_safe = is_safe
+                clearances[k, j] = stop_clearance[b, m * STOPS + j]
+        for k in range(_READ_WIDTH):
+            m = first + k
+            is_safe = scores[k, 1] >= safe
+            clear_stop = int(0)
+            if c.prove_stop != 0:
+                largest = clearances[k, 0]
+                for j in range(1, STOPS):
+                    d = clearances[k, j]
+                    # The first clear stop is kept: what is still unseen may be in the way of a later one.
+                    if d > largest and largest < stop_safe:
+                        largest = d
+                        clear_stop = j
+                for j in range(STOPS):
+                    if m < instances and clearances[k, j] > widest:
+                        widest = clearances[k, j]
+                        widest_stop = m * STOPS + j
+                has_stop = largest >= stop_safe
+                is_safe = has_stop and (is_safe or c.prove_stop == 2)
+            better = scores[k, 0] < lowest
+            if c.prefer_safe != 0 and is_safe != best_safe:
+                better = is_safe
+            if m == 0 or (better and m < instances):
+                best = m
+                best_stop = clear_stop
+                lowest = scores[k, 0]
+                best_safe = is_safe
     flown = best
     replaced = int(-1)
     status = wp.where(best_safe, OK, NO_SAFE_CANDIDATE)
@@ -81,23 +103,21 @@ def select_best(
         best = wp.where(brake_index >= 0, brake_index, best)
         replaced = best
         flown = instances
-        largest_clearance = instance_scores[b, instances][1]
-        is_clear = instance_scores[b, instances][2] >= stop_safe
-        proven = instance_scores.shape[1] - 1
+        largest_clearance = braking[0, 1]
+        is_clear = braking[0, 2] >= stop_safe
         may_fly_stop = c.prove_stop != 0 and stop_ready != 0 and status == NO_SAFE_CANDIDATE
-        for candidate in range(instances + 1, wp.where(may_fly_stop, proven + 1, proven)):
-            score = instance_scores[b, candidate]
-            better = score[1] > largest_clearance
-            if (score[2] >= stop_safe) != is_clear:
+        for k in range(1, BRAKING_CANDIDATES):
+            better = braking[k, 1] > largest_clearance
+            if (braking[k, 2] >= stop_safe) != is_clear:
                 better = not is_clear
-            if better:
-                flown = candidate
-                largest_clearance = score[1]
-                is_clear = score[2] >= stop_safe
+            if better and (k < _PROVEN or may_fly_stop):
+                flown = instances + k
+                largest_clearance = braking[k, 1]
+                is_clear = braking[k, 2] >= stop_safe
         # The proven stop is flown on while it is clear of what stands, unless another one evades what moves.
-        is_proof_valid = may_fly_stop and instance_scores[b, proven][2] >= stop_safe
-        if is_proof_valid and (largest_clearance < stop_safe or instance_scores[b, proven][1] >= stop_safe):
-            flown = proven
+        is_proof_valid = may_fly_stop and braking[_PROVEN, 2] >= stop_safe
+        if is_proof_valid and (largest_clearance < stop_safe or braking[_PROVEN, 1] >= stop_safe):
+            flown = instances + _PROVEN
         elif status == NO_SAFE_CANDIDATE and not is_clear and widest_stop >= 0 and widest > largest_clearance:
             best = widest_stop // STOPS
             flown = best

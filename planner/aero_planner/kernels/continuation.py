@@ -21,7 +21,7 @@ _LEAST_FLAT = wp.constant(0.2)
 """Cosine of the steepest elevation to which surfaces are continued."""
 _SAME_SURFACE = wp.constant(0.1)
 """Difference in horizontal distance from one row to the next within a surface, which may lean [m]."""
-_READ_WIDTH = wp.constant(10)
+_READ_WIDTH = wp.constant(16)
 """Cells of a column that are read together, so that a GPU waits for memory once for all of them."""
 _Surfaces = wp.types.matrix(shape=(_READ_WIDTH, 2), dtype=wp.float32)
 

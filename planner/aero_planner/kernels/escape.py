@@ -54,19 +54,23 @@ def remember_place(b: int, p: wp.vec3, goal: wp.vec3, period: float, escape: Esc
 
     Of a slow drone, no more progress is asked than a third of what its speed limit allows in that time.
     """
+    count = escape.count[b]
+    nearest = escape.nearest[b]
+    idle = escape.idle[b] + period
     distance = wp.length(goal - p)
     progress = wp.min(params.progress, params.speed_limit * params.patience / 3.0)
     if not (wp.length(goal - escape.goal[b]) < 0.1):
         escape.goal[b] = goal
-        escape.count[b] = 0
-        escape.nearest[b] = distance
-        escape.idle[b] = 0.0
-    elif distance < escape.nearest[b] - progress:
-        escape.nearest[b] = distance
-        escape.idle[b] = 0.0
-    else:
-        escape.idle[b] = escape.idle[b] + period
-        if escape.idle[b] > params.patience:
-            escape.places[b, escape.count[b] % PLACES] = p
-            escape.count[b] = escape.count[b] + 1
-            escape.idle[b] = 0.0
+        count = 0
+        nearest = distance
+        idle = 0.0
+    elif distance < nearest - progress:
+        nearest = distance
+        idle = 0.0
+    elif idle > params.patience:
+        escape.places[b, count % PLACES] = p
+        count += 1
+        idle = 0.0
+    escape.count[b] = count
+    escape.nearest[b] = nearest
+    escape.idle[b] = idle

@@ -41,6 +41,8 @@ class KernelTuning(NamedTuple):
     """Threads that share the clearance query of one Stage I position."""
     threads_per_query: int = 1
     """Threads that share the clearance query of one Stage II position; there are fewer of those."""
+    threads_per_stop_query: int = 1
+    """Threads that share the clearance query of one position of a stop; there are many of those."""
     is_cuda: bool = False
 
     def for_batch(self, batch: int) -> KernelTuning:
@@ -48,7 +50,10 @@ class KernelTuning(NamedTuple):
         if batch <= _FEW_DRONES:
             return self
         return self._replace(
-            threads_per_update=min(self.threads_per_update, 128), threads_per_sample_query=1, threads_per_query=1
+            threads_per_update=min(self.threads_per_update, 128),
+            threads_per_sample_query=1,
+            threads_per_query=1,
+            threads_per_stop_query=1,
         )
 
     def threads_per_sweep(self, sweeps: int, points: int) -> int:
@@ -81,6 +86,7 @@ CPU = KernelTuning(
 """Sizes that LLVM turns into vector instructions."""
 CUDA = KernelTuning(
     points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1,
-    threads_per_update=512, threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32, is_cuda=True,
+    threads_per_update=512, threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32,
+    threads_per_stop_query=8, is_cuda=True,
 )  # fmt: skip
 """One point or sample per thread, and 16-byte loads of points and samples."""

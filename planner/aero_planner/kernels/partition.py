@@ -246,7 +246,7 @@ def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
     directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
 
 
-READ_WIDTH = wp.constant(6)
+READ_WIDTH = wp.constant(16)
 """Fine cells that are read together, so that a GPU waits for memory once for all of them."""
 
 Reals = wp.types.vector(length=READ_WIDTH, dtype=wp.float32)
@@ -266,25 +266,26 @@ def safest_fine_cell(
     columns = directions.shape[1]
     best_range = float(-1.0)
     best_cosine = float(-2.0)
-    best_direction = wp.vec3(1.0, 0.0, 0.0)
+    best_cell = int(0)
     r = Reals()
     cosine = Reals()
-    for i in range(fine_cells):
-        row = coarse_row * fine_cells + i
-        # Past the end the last cell is read again, which changes nothing.
-        for j in range(0, fine_cells, READ_WIDTH):
-            first = coarse_column * fine_cells + j
-            last = (coarse_column + 1) * fine_cells - 1
-            for k in range(READ_WIDTH):
-                column = wp.min(first + k, last)
-                r[k] = fine_range[b, row * columns + column]
-                cosine[k] = wp.dot(directions[row, column], toward)
-            for k in range(READ_WIDTH):
-                # The margin makes the first of several equally near cells win in spite of rounding.
-                if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + 1.0e-6):
-                    best_range = r[k]
-                    best_cosine = cosine[k]
-                    best_direction = directions[row, wp.min(first + k, last)]
+    cells = fine_cells * fine_cells
+    for first in range(0, cells, READ_WIDTH):
+        for k in range(READ_WIDTH):
+            # Past the end the last cell is read again, which changes nothing.
+            i = wp.min(first + k, cells - 1)
+            row = coarse_row * fine_cells + i // fine_cells
+            column = coarse_column * fine_cells + i % fine_cells
+            r[k] = fine_range[b, row * columns + column]
+            cosine[k] = wp.dot(directions[row, column], toward)
+        for k in range(READ_WIDTH):
+            # The margin makes the first of several equally near cells win in spite of rounding.
+            if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + 1.0e-6):
+                best_range = r[k]
+                best_cosine = cosine[k]
+                best_cell = wp.min(first + k, cells - 1)
+    row = coarse_row * fine_cells + best_cell // fine_cells
+    best_direction = directions[row, coarse_column * fine_cells + best_cell % fine_cells]
     return best_range, best_direction
 
 

@@ -34,7 +34,7 @@ wp.set_module_options({"enable_backward": False})
 @functools.cache
 def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
     """Return the function that finds the clearance of a stop at one position of it [m]."""
-    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
+    clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_stop_query)
     Pack: Any = point_pack(tuning.points_per_pack)
 
     @wp.func
@@ -103,7 +103,10 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
 
 @functools.cache
 def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that finds the clearance of all stops, with `tuning.threads_per_query` threads per position."""
+    """Return the kernel that finds the clearance of all stops.
+
+    `tuning.threads_per_stop_query` threads share a position.
+    """
     clearance = clearance_of_stop(tuning)
     Pack: Any = point_pack(tuning.points_per_pack)
 

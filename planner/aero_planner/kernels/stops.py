@@ -2,6 +2,8 @@
 
 # Postponed annotations are left out: Warp functions need the types themselves.
 
+import functools
+
 import warp as wp
 
 from aero_planner.kernels.dynamics import (
@@ -18,6 +20,7 @@ from aero_planner.kernels.dynamics import (
     thrust_free_acceleration,
 )
 from aero_planner.kernels.guides import guide_thrust, quintic, thrust_at
+from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, Rollouts
 
@@ -151,23 +154,29 @@ def roll_out_stop(
     stop_clearance[b, i] = wp.where(wp.length(v) < c.stop_speed, c.safe_clearance, 0.0)
 
 
-@wp.kernel(enable_backward=False)
-def roll_out_stops(
-    # problem
-    drone: DroneState,
-    # configuration
-    params: wp.array(dtype=Params),
-    # in
-    plan_period: wp.array(dtype=float),
-    rollouts: Rollouts,
-    # out
-    stop_controls: wp.array3d(dtype=wp.vec4),
-    stop_positions: wp.array3d(dtype=wp.vec3),
-    stop_clearance: wp.array2d(dtype=float),
-):
-    """Roll out the braking manoeuvre of every stop. Launched over [B, stops]."""
-    b, i = wp.tid()
-    c = params[b]
-    if c.prove_stop == 0:
-        return
-    roll_out_stop(b, i, drone, c, plan_period, rollouts, stop_controls, stop_positions, stop_clearance)
+@functools.cache
+def roll_out_stops(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that rolls out the braking manoeuvre of every stop."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def roll_out_stops(
+        # problem
+        drone: DroneState,
+        # configuration
+        params: wp.array(dtype=Params),
+        # in
+        plan_period: wp.array(dtype=float),
+        rollouts: Rollouts,
+        # out
+        stop_controls: wp.array3d(dtype=wp.vec4),
+        stop_positions: wp.array3d(dtype=wp.vec3),
+        stop_clearance: wp.array2d(dtype=float),
+    ):
+        """Roll out the braking manoeuvre of every stop. Launched over [B, stops]."""
+        b, i = wp.tid()
+        c = params[b]
+        if c.prove_stop == 0:
+            return
+        roll_out_stop(b, i, drone, c, plan_period, rollouts, stop_controls, stop_positions, stop_clearance)
+
+    return tuning.set_options(roll_out_stops)

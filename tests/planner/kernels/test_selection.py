@@ -147,10 +147,10 @@ def select(planner: Planner, scores: list[tuple[float, float, float]], stops: np
 @pytest.mark.parametrize(
     ("braking", "flown"),
     [
-        ([(0.4, 0.4), (0.5, 0.5), (0.35, 0.35)], 3),  # the proven stop comes first
+        ([(0.4, 0.4), (0.5, 0.5), (0.35, 0.35)], 6),  # the proven stop comes first
         ([(0.4, 0.4), (0.5, 0.5), (0.2, 0.2)], 2),  # the largest clearance
         ([(0.4, 0.4), (0.1, 0.5), (0.0, 0.35)], 1),  # it evades what moves, while the proven stop does not
-        ([(0.2, 0.5), (0.1, 0.5), (0.0, 0.35)], 3),  # nothing evades what moves
+        ([(0.2, 0.5), (0.1, 0.5), (0.0, 0.35)], 6),  # nothing evades what moves
         ([(0.25, 0.25), (0.1, 0.5), (0.0, 0.2)], 2),  # what stands counts more
         ([(0.25, 0.25), (0.1, 0.2), (0.0, 0.2)], 1),
     ],
@@ -158,9 +158,10 @@ def select(planner: Planner, scores: list[tuple[float, float, float]], stops: np
 def test_braking_candidates_are_chosen_by_what_stands_first(
     device: str, braking: list[tuple[float, float]], flown: int
 ):
-    """`braking` are the clearances with and without what moves; the last candidate is the proven stop."""
+    """`braking` are the clearances of two braking guides and the proven stop, with and without what moves."""
     planner = Planner(config_of(), device=device)
-    rows = [(0.0, -1.0, -1.0), *((0.0, *clearances) for clearances in braking)]
+    *guides, proven = [(0.0, *clearances) for clearances in braking]
+    rows = [(0.0, -1.0, -1.0), *guides, *[(0.0, -2.0, -2.0)] * 3, proven]
     assert select(planner, rows, np.full((1, int(STOPS)), -1.0))[1] == flown
 
 

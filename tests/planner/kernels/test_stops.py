@@ -32,7 +32,7 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
     )
     controls, positions, clearance = (wp.empty_like(a) for a in (w.stop_controls, w.stop_positions, w.stop_clearance))
     wp.launch(
-        roll_out_stops, (1, count), inputs=[drone, planner.params, w.plan_period, rollouts],
+        roll_out_stops(CPU), (1, count), inputs=[drone, planner.params, w.plan_period, rollouts],
         outputs=[controls, positions, clearance],
     )  # fmt: skip
     wp.launch(
