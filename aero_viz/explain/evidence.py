@@ -20,6 +20,7 @@ from aero_planner.kernels.stop_proof import evaluate_stops
 from aero_planner.kernels.stops import roll_out_stops
 from aero_viz.errors import UserError
 from aero_viz.explain.terms import (
+    STAGE2,
     Obstacles,
     Problem,
     Rollouts,
@@ -171,6 +172,8 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     distance = problem.obstacles.distance(x.positions, step_times(x.positions, config))
     controls, command = plan.controls.astype(np.float64), read("command")
     terms = stage2_terms(x, controls, command, waypoints, problem, collision=collision_cost(distance, config))
+    is_previous = [kind == "previous" for kind in plan.kinds]
+    terms[STAGE2.index("escape"), is_previous] *= 1.0 - config.escape.previous_discount
     nearest, start_clearance = read("instance_scores")[:M, 1], float(read("standing_clearance")[0, -1])
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
     is_safe = nearest >= np.float32(safe)

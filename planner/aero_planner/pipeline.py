@@ -290,8 +290,8 @@ class Pipeline(LaunchSequence):
             selection.score_instances(self._tuning),
             (sizes.B, sizes.R, lanes),
             inputs=[
-                i.goal_position, w.command, self._params, r.escape, w.waypoints, o.controls, o.positions, w.state_terms,
-                w.standing_clearance,
+                i.goal_position, w.command, self._params, self._previous_index, r.escape, w.waypoints, o.controls,
+                o.positions, w.state_terms, w.standing_clearance,
             ],
             outputs=[r.costs, w.instance_scores],
             block_dim=32,

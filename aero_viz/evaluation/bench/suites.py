@@ -181,6 +181,7 @@ def _ablation() -> Benchmark:
         ("braking instead of the widest stop", {"candidates.widest_stop": False}),
         ("no margin per speed", {"candidates.speed_margin": 0.0}),
         ("no way out", {"escape.q_escape": 0.0}),
+        ("no discount of the previous plan", {"escape.previous_discount": 0.0}),
         ("motion not predicted", {"partition.predict": False}),
         ("disturbances not estimated", {"vehicle.disturbance_time": 0.0}),
         ("drag not estimated", {"vehicle.drag_time": 0.0}),

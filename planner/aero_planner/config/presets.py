@@ -46,6 +46,7 @@ _PAPER: dict[str, Value] = {
     "costs.q_blocked": 0.0,
     "costs.waypoint_distance": 0.0,
     "escape.q_escape": 0.0,
+    "escape.previous_discount": 0.0,
     "costs.use_ground": False,
 }
 
@@ -80,6 +81,7 @@ _PX4: dict[str, Value] = {
     "costs.soft_weight": 100.0,
     "costs.blocked_radius": 0.35,
     "escape.q_escape": 120.0,
+    "escape.previous_discount": 0.0,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

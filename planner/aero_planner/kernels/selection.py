@@ -176,6 +176,7 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         command: wp.array(dtype=wp.vec4),
         # configuration
         params: wp.array(dtype=Params),
+        previous_index: int,
         # in
         escape: Escape,
         waypoints: wp.array2d(dtype=wp.vec3),
@@ -222,7 +223,10 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
             end = positions[b, m, steps]
             to_go = blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), c)
             jump = jump_cost(controls[b, m, 0], command[b], c.q_control_jump)
-            S2 = J_goal + J_col + J_speed + jump + to_go + escape_cost(end, b, escape, c)
+            J_escape = escape_cost(end, b, escape, c)
+            if m == previous_index:
+                J_escape *= 1.0 - c.previous_discount
+            S2 = J_goal + J_col + J_speed + jump + to_go + J_escape
             costs.stage2_cost[b, m] = S2
             instance_scores[b, m] = wp.vec3(S2, nearest, nearest_standing)
 

@@ -50,7 +50,7 @@ def test_physical_parameters_have_a_unit():
     without = {info.name for info in NUMBERS if not info.unit and isinstance(info.default, float)}
     assert without == {
         "slow_spread", "slow_rise", "rise", "brake_reach", "temperature", "correlation", "q_attitude", "q_control",
-        "q_control_rate", "penalty", "soft_weight",
+        "q_control_rate", "penalty", "soft_weight", "previous_discount",
     }  # fmt: skip
 
 

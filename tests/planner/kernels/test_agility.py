@@ -106,6 +106,7 @@ def test_places_without_progress_cost_less_the_nearer_to_the_goal_a_rollout_ends
     last = plan(0.6)
     ends = last.positions[:, -1].astype(np.float64)
     expected = [reference.escape_cost(p, places, nearest, case.goal, planner.config) for p in ends]
+    expected[last.kinds.index("previous")] *= 1.0 - planner.config.escape.previous_discount
     np.testing.assert_allclose(last.stage2_cost - last.goal_cost, expected, rtol=1e-4, atol=0.02)
     full = [reference.escape_cost(p, places, 0.0, case.goal, planner.config) for p in ends]
     assert len(places) >= 2 and nearest == 3.0

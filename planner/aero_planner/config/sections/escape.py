@@ -26,6 +26,11 @@ class EscapeConfig(ParameterSection, section="escape"):
         "it. 1000 m: the places cost the same everywhere.",
         label="Distance ahead without escape cost",
     )  # fmt: skip
+    previous_discount: float = live(
+        0.2, "", 0.0, 1.0, "Share of the escape cost that the previous plan is spared, so that a drone with two equal "
+        "ways out keeps to one.",
+        label="Discount of the previous plan",
+    )  # fmt: skip
     rise: float = live(
         4.0, "", 1.0, 5.0, "Factor on the spacing of the rows of anchors, instead of anchors.slow_rise, for a slow "
         "drone near a remembered place: the way out may lead upward.",
