@@ -98,7 +98,7 @@ class Plan:
     """
 
     fine_range: Array
-    """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [70, 140] by
+    """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [80, 160] by
     default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""

@@ -109,6 +109,8 @@ class SweepMemory:
 
     def has_room(self, sweeps: Sweeps) -> bool:
         """Return True if the sweeps fit into the ring, wherever the oldest one begins."""
+        if sweeps is self._held:
+            return True
         return len(sweeps) <= self._sizes.S and sweeps.point_count + max(map(len, sweeps), default=0) <= self._sizes.P
 
     def hold(self, sweeps: Sweeps) -> None:
@@ -156,18 +158,18 @@ class SweepMemory:
         oldest, newest = (entries[0].number, entries[-1].number) if entries else (0, -1)
         aged = [entry.row for entry in entries[:thinned] if entry.row not in self._thinned]
         changes: list[_Change] = []
-        for i, entry in enumerate(entries):
-            if entry.number >= first_new:
-                # Without all `RECENT` sweeps before it, only the newest one's motion matters.
-                is_used = entry is entries[-1] or i >= int(RECENT) - 1
-                recent = _recent_rows(entries[max(i + 1 - whole, 0) : i + 1] if is_used else [])
-                old = entries[i - whole].row if i >= whole else -1
-                if old in aged:
-                    aged.remove(old)
-                else:
-                    old = -1
-                time, position = entry.arrival or _UNKNOWN_ARRIVAL
-                changes.append(_Change(entry.row, entry.number, oldest, old, recent, time, position))
+        known = sum(entry.number < first_new for entry in entries)
+        for i, entry in enumerate(entries[known:], known):
+            # Without all `RECENT` sweeps before it, only the newest one's motion matters.
+            is_used = entry is entries[-1] or i >= int(RECENT) - 1
+            recent = _recent_rows(entries[max(i + 1 - whole, 0) : i + 1] if is_used else [])
+            old = entries[i - whole].row if i >= whole else -1
+            if old in aged:
+                aged.remove(old)
+            else:
+                old = -1
+            time, position = entry.arrival or _UNKNOWN_ARRIVAL
+            changes.append(_Change(entry.row, entry.number, oldest, old, recent, time, position))
         recent = _recent_rows([] if changes or self._is_motion_known else entries[-whole:])
         rest = [_Change(-1, newest, oldest, old, recent, *_UNKNOWN_ARRIVAL) for old in aged]
         return changes + rest or [_Change(-1, newest, oldest, -1, recent, *_UNKNOWN_ARRIVAL)]
@@ -198,17 +200,20 @@ class SweepMemory:
 
     def _take_over(self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...], thinned: int) -> None:
         """Drop the sweeps that left and copy those that arrived; `thinned` is the number of sweeps to thin."""
-        kept = self._count_kept(sweeps)
-        while len(self._entries) > kept:
-            self._entries.popleft()
+        self._drop(len(self._entries) - self._count_kept(sweeps))
         if any(entry.row in self._thinned for entry in list(self._entries)[thinned:]):
-            self._entries.clear()  # their other points are needed again
-            kept = 0
-        arrived = self._place(sweeps[kept:], arrivals[kept:])
-        self._thinned -= {entry.row for entry in arrived}
-        self._write_table(arrived)
-        for entry in arrived:
+            self._drop(len(self._entries))  # their other points are needed again
+        kept = len(self._entries)
+        for entry in self._place(sweeps[kept:], arrivals[kept:]):
+            self._thinned.discard(entry.row)
             self._copy(entry)
+        self._table.host()["oldest"][0] = self._entries[0].start if self._entries else 0
+
+    def _drop(self, count: int) -> None:
+        """Drop the oldest `count` sweeps."""
+        counts = self._table.host()["count"]
+        for _ in range(count):
+            counts[:, self._entries.popleft().row] = 0
 
     def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
@@ -247,27 +252,27 @@ class SweepMemory:
 
     def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
         """Return how many of the newest sweeps in the ring are the first of `sweeps`."""
-        held = [entry.points for entry in self._entries]
-        for count in range(min(len(held), len(sweeps)), 0, -1):
-            if all(a is b for a, b in zip(held[len(held) - count :], sweeps, strict=False)):
-                return count
-        return 0
+        held, wanted = [id(entry.points) for entry in self._entries], [id(points) for points in sweeps]
+        kept = range(min(len(held), len(wanted)), 0, -1)
+        return next((count for count in kept if held[-count:] == wanted[:count]), 0)
 
     def _place(self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...]) -> list[_Entry]:
         """Add sweeps to the ring and return their entries; those that are in the ring may move, and are among them."""
+        host = self._table.host()
         added: list[_Entry] = []
         for points, arrival in zip(sweeps, arrivals, strict=True):
             start = self._free_place(len(points))
             if start is None:
                 # The gaps are too large: begin again at the start of the ring.
                 held = list(self._entries)
-                self._entries.clear()
+                self._drop(len(held))
                 everything = [entry.points for entry in held] + sweeps[len(added) :]
                 return self._place(everything, (*[entry.arrival for entry in held], *arrivals[len(added) :]))
             row = min(set(range(self._sizes.S)).difference(entry.row for entry in self._entries))
             added.append(_Entry(points, arrival, self._next_number, row, start))
             self._next_number += 1
             self._entries.append(added[-1])
+            host["start"][row], host["count"][0, row], host["is_ordered"][row] = start, len(points), 0
         return added
 
     def _free_place(self, count: int) -> int | None:
@@ -280,15 +285,6 @@ class SweepMemory:
         if end + count <= self._sizes.P:
             return end
         return 0 if count <= oldest else None
-
-    def _write_table(self, arrived: list[_Entry]) -> None:
-        host = self._table.host()
-        host["count"][:] = 0
-        host["is_ordered"][[entry.row for entry in arrived]] = 0
-        rows = [entry.row for entry in self._entries]
-        host["start"][rows] = [entry.start for entry in self._entries]
-        host["count"][0, rows] = [len(entry.points) for entry in self._entries]
-        host["oldest"][0] = self._entries[0].start if self._entries else 0
 
     def _copy(self, entry: _Entry) -> None:
         """Copy a sweep to its place, on CUDA through pinned memory and without waiting."""
