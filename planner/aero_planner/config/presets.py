@@ -61,7 +61,7 @@ _PX4: dict[str, Value] = {
     "costs.q_control_rate": 100.0,
     "costs.q_control_jump": 60.0,
     "costs.q_height": 3.0,
-    # As in the flights with PX4 of docs/onboard.md: defaults of that time.
+    # As in the flights with PX4 of docs/onboard_results.md: defaults of that time.
     "partition.fine_cells": 6,
     "partition.continue_before": 1.0,
     "anchors.lookahead_time": 0.65,

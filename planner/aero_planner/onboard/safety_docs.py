@@ -1,4 +1,4 @@
-"""Diagram and tables of docs/onboard.md, generated from the failsafe table that the node runs.
+"""Diagram and tables of docs/onboard_safety.md, generated from the failsafe table that the node runs.
 
     python -m aero_planner.onboard.safety_docs
 

@@ -28,7 +28,7 @@ from aero_planner.onboard.failsafe_table import (
 from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
 from tests.planner.onboard.safety_inputs import LIMITS, WELL, check_one_step
 
-DOCS = Path(__file__).parents[3] / "docs" / "onboard.md"
+DOCS = Path(__file__).parents[3] / "docs" / "onboard_safety.md"
 # Faults, and the inputs that they change. Ages are just beyond their limit, NaN, or far beyond the limit.
 BREAKS: dict[str, dict[str, object]] = {
     "link": {"heartbeat_age": LIMITS.heartbeat_age + 0.1},
