@@ -33,7 +33,7 @@ wp.set_module_options({"enable_backward": False})
 
 @functools.cache
 def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
-    """Return the function that finds the clearance of a stop at one position of it [m]."""
+    """Return the function that finds the clearance of a stop over a range of its positions [m]."""
     clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_stop_query)
     Pack: Any = point_pack(tuning.points_per_pack)
 
@@ -41,7 +41,9 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
     def clearance_of_stop(
         b: int,
         i: int,
-        row: int,
+        first: int,
+        end: int,
+        floor: float,
         thread: int,
         c: Params,
         position: wp.vec3,
@@ -62,41 +64,48 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
         standing_clearance: wp.array3d(dtype=float),
         allowance: float,
     ) -> float:
-        """Return the clearance of one of the 4 N states and midpoints of stop i, at most safe_clearance [m].
+        """Return the least clearance of the positions `first` to `end` - 1 of stop i, or the first one below `floor`.
 
-        The first half are those of the braking manoeuvre, the others those of the candidate before the switch. What
-        moves counts as farther away by `allowance`, the second of `mover_allowances`.
+        Its 4 N positions are states and midpoints: the first half those of the braking manoeuvre, the others those of
+        the candidate before the switch. What moves counts as farther away by `allowance`, the second of
+        `mover_allowances`. The result is at most safe_clearance.
         """
         steps = stop_positions.shape[2] - 1
-        d = float(c.safe_clearance)
-        x = position
-        if row < 2 * steps:
-            t = row // 2
-            x = stop_positions[b, i, t + 1]
-            if row % 2 == 1:
-                x = 0.5 * (x + stop_positions[b, i, t])
-            margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
-            limit = wp.min(c.safe_clearance + margin, cell_size(c))
-            d = clearance_of(x, limit, b, thread, position, cell_size(c), duplicate_rows, cell_ends, point_packs)
-            d = above_ground(d, x, ground_height, c)
-            time = float(switch_step(i % STOPS, steps, plan_period, c)) + 0.5 * float(row // 2 * 2 + 2 - row % 2)
-            d = wp.min(d, clear_of_movers(wp.INF, x, time * c.dt, b, movers, c) + allowance) - margin
-        else:
-            t = (row - 2 * steps) // 2
-            if t < switch_step(i % STOPS, steps, plan_period, c):
-                # state_terms holds N states, the probes, N midpoints and the start.
-                m = i // STOPS
-                x = positions[b, m, t + 1]
-                state = wp.where(row % 2 == 0, t, steps + probes + t)
-                d = wp.min(standing_clearance[b, m, state], state_terms[b, m, state][3] + allowance)
-        if c.stop_seen != 0 and row % 2 == 0:
-            to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
-            distance = wp.length(to_x)
-            if distance > 0.5:
-                cell_row, cell_column = cell_of_direction(to_x, rows, columns)
-                if distance > fine_range[b, cell_row * columns + cell_column]:
-                    d = 0.0
-        return wp.min(d, c.safe_clearance)
+        least = float(c.safe_clearance)
+        for row in range(first, end):
+            if least >= floor:
+                d = float(c.safe_clearance)
+                x = position
+                if row < 2 * steps:
+                    t = row // 2
+                    x = stop_positions[b, i, t + 1]
+                    if row % 2 == 1:
+                        x = 0.5 * (x + stop_positions[b, i, t])
+                    margin = c.speed_margin * wp.length(stop_positions[b, i, t + 1] - stop_positions[b, i, t]) / c.dt
+                    limit = wp.min(c.safe_clearance + margin, cell_size(c))
+                    d = clearance_of(
+                        x, limit, b, thread, position, cell_size(c), duplicate_rows, cell_ends, point_packs
+                    )
+                    d = above_ground(d, x, ground_height, c)
+                    time = float(switch_step(i % STOPS, steps, plan_period, c)) + 0.5 * float(t * 2 + 2 - row % 2)
+                    d = wp.min(d, clear_of_movers(wp.INF, x, time * c.dt, b, movers, c) + allowance) - margin
+                else:
+                    t = (row - 2 * steps) // 2
+                    if t < switch_step(i % STOPS, steps, plan_period, c):
+                        # state_terms holds N states, the probes, N midpoints and the start.
+                        m = i // STOPS
+                        x = positions[b, m, t + 1]
+                        state = wp.where(row % 2 == 0, t, steps + probes + t)
+                        d = wp.min(standing_clearance[b, m, state], state_terms[b, m, state][3] + allowance)
+                if c.stop_seen != 0 and row % 2 == 0:
+                    to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
+                    distance = wp.length(to_x)
+                    if distance > 0.5:
+                        cell_row, cell_column = cell_of_direction(to_x, rows, columns)
+                        if distance > fine_range[b, cell_row * columns + cell_column]:
+                            d = 0.0
+                least = wp.min(least, d)
+        return least
 
     return clearance_of_stop
 
@@ -147,9 +156,9 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         start = state_terms.shape[2] - 1
         _, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
         d = clearance(
-            b, i, row, thread, c, position[b], quaternion[b], ground_height[b], movers, probes, duplicate_rows, rows,
-            columns, fine_range, positions, plan_period[b], cell_ends, point_packs, stop_positions, state_terms,
-            standing_clearance, allowance,
+            b, i, row, row + 1, 0.0, thread, c, position[b], quaternion[b], ground_height[b], movers, probes,
+            duplicate_rows, rows, columns, fine_range, positions, plan_period[b], cell_ends, point_packs,
+            stop_positions, state_terms, standing_clearance, allowance,
         )  # fmt: skip
         if thread == 0 and d < c.safe_clearance:
             wp.atomic_min(stop_clearance, b, i, d)
@@ -165,43 +174,6 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
     """
     clearance = clearance_of_stop(tuning)
     Pack: Any = point_pack(tuning.points_per_pack)
-
-    @wp.func
-    def least_clearance(
-        b: int,
-        i: int,
-        floor: float,
-        c: Params,
-        position: wp.vec3,
-        quaternion: wp.vec4,
-        ground_height: float,
-        movers: Movers,
-        probes: int,
-        duplicate_rows: int,
-        rows: int,
-        columns: int,
-        fine_range: wp.array2d(dtype=float),
-        positions: wp.array3d(dtype=wp.vec3),
-        plan_period: float,
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
-        stop_positions: wp.array3d(dtype=wp.vec3),
-        state_terms: wp.array3d(dtype=wp.vec4),
-        standing_clearance: wp.array3d(dtype=float),
-        allowance: float,
-        stop_clearance: wp.array2d(dtype=float),
-    ) -> float:
-        """Return the least clearance of stop i, or the first one that is below `floor` [m]."""
-        least = stop_clearance[b, i]
-        for row in range(4 * (stop_positions.shape[2] - 1)):
-            if least >= floor:
-                d = clearance(
-                    b, i, row, 0, c, position, quaternion, ground_height, movers, probes, duplicate_rows, rows, columns,
-                    fine_range, positions, plan_period, cell_ends, point_packs, stop_positions, state_terms,
-                    standing_clearance, allowance,
-                )  # fmt: skip
-                least = wp.min(least, d)
-        return least
 
     @wp.kernel(module="unique", enable_backward=False)
     def prove_stops(
@@ -247,6 +219,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
         start = state_terms.shape[2] - 1
         safe, stop_safe = safe_clearances(standing_clearance[b, 0, start], c)
         _, allowance = mover_allowances(state_terms[b, 0, start][3], standing_clearance[b, 0, start], c)
+        count = 4 * (stop_positions.shape[2] - 1)
         cost = float(-wp.INF)
         m = int(-1)
         for _rank in range(instances):
@@ -267,14 +240,15 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
                     roll_out_stop(b, i, drone, c, plan_period, rollouts, stop_controls, stop_positions, stop_clearance)
                 for j in range(STOPS):
                     i = m * STOPS + j
-                    least = least_clearance(
-                        b, i, stop_safe, c, position[b], quaternion[b], ground_height[b], movers, probes,
-                        duplicate_rows, rows, columns, fine_range, rollouts.positions, plan_period[b], cell_ends,
-                        point_packs, stop_positions, state_terms, standing_clearance, allowance, stop_clearance,
-                    )  # fmt: skip
-                    stop_clearance[b, i] = least
-                    if least >= stop_safe:
-                        return
+                    if stop_clearance[b, i] >= stop_safe:
+                        stop_clearance[b, i] = clearance(
+                            b, i, 0, count, stop_safe, 0, c, position[b], quaternion[b], ground_height[b],
+                            movers, probes, duplicate_rows, rows, columns, fine_range, rollouts.positions,
+                            plan_period[b], cell_ends, point_packs, stop_positions, state_terms, standing_clearance,
+                            allowance,
+                        )  # fmt: skip
+                        if stop_clearance[b, i] >= stop_safe:
+                            return
             if c.prefer_safe == 0:
                 return
         widest = widest_stop_limit(stop_safe, c)
@@ -284,12 +258,11 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
             widest = wp.max(widest, instance_scores[b, k][1])
         for i in range(instances * STOPS):
             if stop_clearance[b, i] > widest:
-                least = least_clearance(
-                    b, i, widest, c, position[b], quaternion[b], ground_height[b], movers, probes, duplicate_rows, rows,
-                    columns, fine_range, rollouts.positions, plan_period[b], cell_ends, point_packs, stop_positions,
-                    state_terms, standing_clearance, allowance, stop_clearance,
+                stop_clearance[b, i] = clearance(
+                    b, i, 0, count, widest, 0, c, position[b], quaternion[b], ground_height[b], movers, probes,
+                    duplicate_rows, rows, columns, fine_range, rollouts.positions, plan_period[b], cell_ends,
+                    point_packs, stop_positions, state_terms, standing_clearance, allowance,
                 )  # fmt: skip
-                stop_clearance[b, i] = least
-                widest = wp.max(widest, least)
+                widest = wp.max(widest, stop_clearance[b, i])
 
     return tuning.set_options(prove_stops, keep_loops=True)
