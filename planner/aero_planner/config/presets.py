@@ -25,6 +25,7 @@ _PAPER: dict[str, Value] = {
     "candidates.prefer_safe": False,
     "candidates.prove_stop": "off",
     "candidates.widest_stop": False,
+    "candidates.stop_seen_closing": False,
     "candidates.speed_margin": 0.0,
     "candidates.between_steps": False,
     "candidates.brake_fan": 0.0,

@@ -31,6 +31,25 @@ from aero_planner.kernels.warp_ops import point_pack
 wp.set_module_options({"enable_backward": False})
 
 
+@wp.func
+def seen_range(
+    b: int, row: int, column: int, rows: int, columns: int, params: Params, fine_range: wp.array2d(dtype=float)
+) -> float:
+    """Return the range up to which a fine cell is seen [m].
+
+    With `stop_seen_closing`, it is at most that of the farther of the two cells beside it, and of those above and below
+    it: between points of a surface, a cell may be empty because no beam has hit it.
+    """
+    seen = fine_range[b, row * columns + column]
+    if params.stop_seen_closing != 0:
+        left = fine_range[b, row * columns + (column + columns - 1) % columns]
+        right = fine_range[b, row * columns + (column + 1) % columns]
+        above = fine_range[b, wp.min(row + 1, rows - 1) * columns + column]
+        below = fine_range[b, wp.max(row - 1, 0) * columns + column]
+        seen = wp.min(seen, wp.min(wp.max(left, right), wp.max(above, below)))
+    return seen
+
+
 @functools.cache
 def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
     """Return the function that finds the clearance of a stop over a range of its positions [m]."""
@@ -102,7 +121,7 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
                     distance = wp.length(to_x)
                     if distance > 0.5:
                         cell_row, cell_column = cell_of_direction(to_x, rows, columns)
-                        if distance > fine_range[b, cell_row * columns + cell_column]:
+                        if distance > seen_range(b, cell_row, cell_column, rows, columns, c, fine_range):
                             d = 0.0
                 least = wp.min(least, d)
         return least

@@ -10,7 +10,7 @@ from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, Rollouts, bundle
-from aero_planner.kernels.stop_proof import evaluate_stops
+from aero_planner.kernels.stop_proof import evaluate_stops, seen_range
 from aero_planner.kernels.stops import STOPS, mover_allowances, roll_out_stops
 from tests.planner.cases import config_of, random_case
 
@@ -96,6 +96,28 @@ def test_the_widest_stop_is_the_widest_of_all():
         planner.configure(config)
         assert braked.status != PlanStatus.OK and braked.kinds[braked.best] == "brake"
     assert flown > 2
+
+
+@wp.kernel
+def seen_kernel(params: wp.array(dtype=Params), fine_range: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
+    row, column = wp.tid()
+    rows, columns = out.shape[0], out.shape[1]
+    out[row, column] = seen_range(0, row, column, rows, columns, params[0], fine_range)
+
+
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_holes_of_one_cell_in_a_surface_are_not_seen_through(device: str, is_closed: bool):
+    planner = Planner(config_of(candidates__stop_seen_closing=is_closed), device=device)
+    r = np.random.default_rng(0).uniform(0.5, 10.0, size=(6, 12)).astype(np.float32)
+    r[2:5, 3:8] = 0.8
+    r[3, 5] = 10.0
+    out = wp.zeros(r.shape, dtype=float, device=device)
+    fine_range = wp.array(r.reshape(1, -1), dtype=float, device=device)
+    wp.launch(seen_kernel, r.shape, inputs=[planner.params, fine_range], outputs=[out], device=device)
+    beside = np.maximum(np.roll(r, 1, axis=1), np.roll(r, -1, axis=1))
+    over = np.maximum(np.vstack((r[1:], r[-1:])), np.vstack((r[:1], r[:-1])))
+    np.testing.assert_array_equal(out.numpy(), np.minimum(r, np.minimum(beside, over)) if is_closed else r)
+    assert (out.numpy()[3, 5] == np.float32(0.8)) == is_closed
 
 
 @wp.kernel

@@ -62,6 +62,11 @@ class CandidateConfig(ParameterSection, section="candidates"):
         True, "A proven stop lies in space that is seen from the drone: not behind the nearest point of a fine cell.",
         label="Stop in seen space",
     )  # fmt: skip
+    stop_seen_closing: bool = switch(
+        True, "A fine cell between nearer ones on both sides, or above and below, is seen as far as the farther of "
+        "these: no beam may have hit the surface there.",
+        label="Close holes in surfaces",
+    )  # fmt: skip
     stop_speed: float = live(
         1.0, "m/s", 0.0, 50.0, "Speed below which a braking manoeuvre counts as a stop at its end.",
         label="Speed after a stop",
