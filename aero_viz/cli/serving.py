@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from aero_planner.termination import leave_terminal
 from aero_viz.cli.flags import FoxgloveFlag, OptionalText
 from aero_viz.errors import UserError
 
@@ -111,16 +112,20 @@ class StudyFlags:
 
 
 def shutdown_event() -> threading.Event:
-    """Return an event that is set by Ctrl-C or SIGTERM, so that the caller can close everything in order.
+    """Return an event that is set by Ctrl-C, SIGTERM or SIGHUP, so that the caller can close everything in order.
 
     A second signal ends the program at once.
     """
     event = threading.Event()
-    signals = (signal.SIGINT, signal.SIGTERM)
+    signals = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup ignores it
+        signals.append(signal.SIGHUP)
 
-    def set_event(*_: object) -> None:
+    def set_event(received: int, _: object) -> None:
         for number in signals:
             signal.signal(number, signal.SIG_DFL)
+        if received == signal.SIGHUP:
+            leave_terminal()
         event.set()
 
     for number in signals:

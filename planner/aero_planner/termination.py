@@ -1,4 +1,6 @@
-"""Signals that end a command: SIGTERM, which service managers and `timeout` send, acts as Ctrl-C: results are kept.
+"""Signals that end a command as Ctrl-C does, so that results are kept.
+
+They are SIGTERM, which service managers and `timeout` send, and SIGHUP, which a lost terminal sends.
 
 Python ignores an exception that is raised while an object is finalized, such as the thousands of arrays of a batch of
 flights, or in a callback of a weak reference. Before version 3.12, it replaces one that is raised in `__set_name__`, as
@@ -24,11 +26,18 @@ _UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile", "aero_planner.output_fil
 _UNINTERRUPTED_METHODS = ("__del__", "__set_name__")
 
 
+_terminals: list[int] = []
+"""Numbers of the output streams that go to a terminal."""
+
+
 def install_handler() -> None:
-    """Handle SIGTERM and Ctrl-C from now on. Does nothing outside of the main thread."""
+    """Handle SIGTERM, SIGHUP and Ctrl-C from now on. Does nothing outside of the main thread."""
     _received.clear()
     if threading.current_thread() is threading.main_thread():
+        _terminals[:] = filter(os.isatty, (1, 2))
         signal.signal(signal.SIGTERM, _interrupt)
+        if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:  # nohup ignores it
+            signal.signal(signal.SIGHUP, _interrupt)
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, raise_interrupt)
         if not isinstance(sys.unraisablehook, _UnraisableHook):
@@ -36,7 +45,7 @@ def install_handler() -> None:
 
 
 def is_terminating() -> bool:
-    """Return True once SIGTERM was received: the command must not wait for anybody."""
+    """Return True once SIGTERM or SIGHUP was received: the command must not wait for anybody."""
     return _received.is_set()
 
 
@@ -51,8 +60,21 @@ def raise_interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+def leave_terminal() -> None:
+    """Discard what is written to the terminal from now on, and ignore SIGHUP: the terminal was lost.
+
+    Writing to it would fail. The system and the shell may both report the loss.
+    """
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    for stream in _terminals:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+
+
 def _interrupt(number: int, frame: FrameType | None) -> None:
     _received.set()
+    if number == signal.SIGHUP:
+        leave_terminal()
+        number = signal.SIGTERM  # if it has to be sent again
     handler = signal.getsignal(signal.SIGINT)
     if not callable(handler):  # a background job of a shell ignores Ctrl-C
         handler = raise_interrupt

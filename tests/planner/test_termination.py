@@ -1,5 +1,6 @@
 """Signals that arrive at any moment."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -69,11 +70,45 @@ except KeyboardInterrupt:
 
 
 @pytest.mark.parametrize("place", ["del", "finalize", "WeakSet", "callback", "generator", "set_name"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_python_would_ignore_or_replace_is_not_lost(number: signal.Signals, place: str):
     command = [sys.executable, "-c", PROGRAM, str(int(number)), place]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60.0)
     assert (done.returncode, done.stdout, done.stderr) == (0, "interrupted\n", "")
+
+
+IN_A_TERMINAL = """
+import fcntl, sys, termios, time
+from aero_planner.termination import install_handler
+
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+install_handler()
+print("ready", flush=True)
+try:
+    time.sleep(20.0)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+    open(sys.argv[1], "w").close()
+"""
+
+
+def test_results_are_kept_when_the_terminal_is_lost(tmp_path: Path):
+    controller, terminal = os.openpty()
+    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
+    command = [sys.executable, "-c", IN_A_TERMINAL, str(tmp_path / "result")]
+    with subprocess.Popen(command, **streams, start_new_session=True) as process:
+        os.close(terminal)
+        assert os.read(controller, 100).startswith(b"ready")
+        os.close(controller)
+        assert process.wait(60.0) == 0
+    assert (tmp_path / "result").exists()
+
+
+def test_under_nohup_a_lost_terminal_is_ignored():
+    code = "import os, signal; from aero_planner.termination import install_handler; install_handler(); "
+    code += "os.kill(os.getpid(), signal.SIGHUP); print('goes on')"
+    done = subprocess.run(["nohup", sys.executable, "-c", code], capture_output=True, text=True, timeout=60.0)
+    assert (done.returncode, done.stdout) == (0, "goes on\n")
 
 
 def test_other_errors_of_finalizers_are_still_reported():
