@@ -280,8 +280,9 @@ class Pipeline(LaunchSequence):
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows, w.cell_ends,
-                w.point_packs, w.waypoints, r.rollouts,
+                r.drone, i.position, i.quaternion, i.ground_height, r.goal, r.movers, self._params, sizes.M,
+                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.cell_ends, w.point_packs, w.waypoints,
+                r.rollouts,
             ],
             outputs=[o.clearance, w.state_terms, w.standing_clearance],
             block_dim=32,

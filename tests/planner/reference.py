@@ -73,6 +73,13 @@ def partition(
     return fine, nearest
 
 
+def closed(fine: Array) -> Array:
+    """Return the ranges [rows, columns] up to which fine cells are seen if holes of one cell in surfaces are closed."""
+    beside = np.maximum(np.roll(fine, 1, axis=1), np.roll(fine, -1, axis=1))
+    above, below = np.vstack((fine[1:], fine[-1:])), np.vstack((fine[:1], fine[:-1]))
+    return np.minimum(fine, np.minimum(beside, np.maximum(above, below)))
+
+
 def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Array]:
     """Return the maximum range of a coarse cell and the directions, shape [n, 3], of the fine cells that share it."""
     block = np.s_[row * pool : (row + 1) * pool, column * pool : (column + 1) * pool]

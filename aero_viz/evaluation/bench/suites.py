@@ -178,6 +178,7 @@ def _ablation() -> Benchmark:
         ("surfaces not continued", {"partition.continue_below": 0.0, "partition.continue_above": 0.0}),
         ("surfaces continued from the present view", {"partition.view_age": 0.0}),
         ("stops not proven", {"candidates.prove_stop": "off"}),
+        ("braking into unseen space", {"candidates.brake_seen": False}),
         ("stops seen through holes in surfaces", {"candidates.stop_seen_closing": False}),
         ("braking instead of the widest stop", {"candidates.widest_stop": False}),
         ("no margin per speed", {"candidates.speed_margin": 0.0}),

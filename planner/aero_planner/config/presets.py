@@ -28,6 +28,7 @@ _PAPER: dict[str, Value] = {
     "candidates.stop_seen_closing": False,
     "candidates.speed_margin": 0.0,
     "candidates.between_steps": False,
+    "candidates.brake_seen": False,
     "candidates.brake_fan": 0.0,
     "sampling.dt": 0.05,
     "sampling.temperature": 0.1,

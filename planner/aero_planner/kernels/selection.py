@@ -21,15 +21,19 @@ from aero_planner.kernels.dynamics import (
     thrust_free_acceleration,
 )
 from aero_planner.kernels.escape import Escape, escape_cost, remember_place
+from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
-from aero_planner.kernels.stops import STOPS, mover_allowances, switch_step
+from aero_planner.kernels.stops import STOPS, is_hidden, mover_allowances, switch_step
 from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
 
 wp.set_module_options({"enable_backward": False})
+
+_HIDDEN = wp.constant(1.0)
+"""Distance by which a braking guide counts as nearer to obstacles where it is not seen [m]."""
 
 
 @functools.cache
@@ -100,13 +104,18 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         # problem
         drone: DroneState,
         center: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
         ground_height: wp.array(dtype=float),
         goal: GoalState,
         movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
+        instances: int,
         duplicate_rows: int,
+        rows: int,
+        columns: int,
         # in
+        fine_range: wp.array2d(dtype=float),
         cell_ends: wp.array2d(dtype=int),
         point_packs: wp.array2d(dtype=Pack),
         waypoints: wp.array2d(dtype=wp.vec3),
@@ -120,7 +129,8 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         and the start, in this order.
 
         `state_terms` are J_goal, J_col, the speed cost and the clearance [m]; `standing_clearance` is that without
-        what moves. Launched over [B, R, N + PROBES + N + 1, threads per query].
+        what moves. Where a braking guide is not seen, both clearances are less by `_HIDDEN`. Launched over
+        [B, R, N + PROBES + N + 1, threads per query].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
@@ -157,6 +167,9 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             J_speed = speed_cost(v, c)
             margin = c.speed_margin * wp.length(v)
             clearance[b, m, t] = wp.min(d, c.distance_max)
+            if c.brake_seen != 0 and m >= instances and m < instances + BRAKING_FAN:
+                hidden = is_hidden(b, x, center[b], quaternion[b], rows, columns, c, fine_range)
+                margin += wp.where(hidden, _HIDDEN, 0.0)
         state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d - margin)
         standing_clearance[b, m, t] = standing - margin
 

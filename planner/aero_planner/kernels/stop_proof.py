@@ -12,14 +12,13 @@ from typing import Any
 import warp as wp
 
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at
-from aero_planner.kernels.dynamics import quat_inverse_rotate
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.movers import Movers, clear_of_movers
 from aero_planner.kernels.params import Params
-from aero_planner.kernels.partition import cell_of_direction
 from aero_planner.kernels.records import DroneState, Rollouts
 from aero_planner.kernels.stops import (
     STOPS,
+    is_hidden,
     mover_allowances,
     roll_out_stop,
     safe_clearances,
@@ -29,25 +28,6 @@ from aero_planner.kernels.stops import (
 from aero_planner.kernels.warp_ops import point_pack
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def seen_range(
-    b: int, row: int, column: int, rows: int, columns: int, params: Params, fine_range: wp.array2d(dtype=float)
-) -> float:
-    """Return the range up to which a fine cell is seen [m].
-
-    With `stop_seen_closing`, it is at most that of the farther of the two cells beside it, and of those above and below
-    it: between points of a surface, a cell may be empty because no beam has hit it.
-    """
-    seen = fine_range[b, row * columns + column]
-    if params.stop_seen_closing != 0:
-        left = fine_range[b, row * columns + (column + columns - 1) % columns]
-        right = fine_range[b, row * columns + (column + 1) % columns]
-        above = fine_range[b, wp.min(row + 1, rows - 1) * columns + column]
-        below = fine_range[b, wp.max(row - 1, 0) * columns + column]
-        seen = wp.min(seen, wp.min(wp.max(left, right), wp.max(above, below)))
-    return seen
 
 
 @functools.cache
@@ -117,12 +97,8 @@ def clearance_of_stop(tuning: KernelTuning) -> wp.Function:
                         state = wp.where(row % 2 == 0, t, steps + probes + t)
                         d = wp.min(standing_clearance[b, m, state], state_terms[b, m, state][3] + allowance)
                 if c.stop_seen != 0 and row % 2 == 0:
-                    to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
-                    distance = wp.length(to_x)
-                    if distance > 0.5:
-                        cell_row, cell_column = cell_of_direction(to_x, rows, columns)
-                        if distance > seen_range(b, cell_row, cell_column, rows, columns, c, fine_range):
-                            d = 0.0
+                    hidden = is_hidden(b, x, position, quaternion, rows, columns, c, fine_range)
+                    d = wp.where(hidden, 0.0, d)
                 least = wp.min(least, d)
         return least
 

@@ -22,6 +22,7 @@ from aero_planner.kernels.dynamics import (
 from aero_planner.kernels.guides import guide_thrust, quintic, thrust_at
 from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.partition import cell_of_direction
 from aero_planner.kernels.records import DroneState, Rollouts
 
 wp.set_module_options({"enable_backward": False})
@@ -103,6 +104,46 @@ def mover_allowances(clearance: float, standing_clearance: float, params: Params
     safe, stop_safe = safe_clearances(clearance, params)
     standing_safe, standing_stop_safe = safe_clearances(standing_clearance, params)
     return standing_safe - safe, standing_stop_safe - stop_safe
+
+
+@wp.func
+def seen_range(
+    b: int, row: int, column: int, rows: int, columns: int, params: Params, fine_range: wp.array2d(dtype=float)
+) -> float:
+    """Return the range up to which a fine cell is seen [m].
+
+    With `stop_seen_closing`, it is at most that of the farther of the two cells beside it, and of those above and below
+    it: between points of a surface, a cell may be empty because no beam has hit it.
+    """
+    seen = fine_range[b, row * columns + column]
+    if params.stop_seen_closing != 0:
+        left = fine_range[b, row * columns + (column + columns - 1) % columns]
+        right = fine_range[b, row * columns + (column + 1) % columns]
+        above = fine_range[b, wp.min(row + 1, rows - 1) * columns + column]
+        below = fine_range[b, wp.max(row - 1, 0) * columns + column]
+        seen = wp.min(seen, wp.min(wp.max(left, right), wp.max(above, below)))
+    return seen
+
+
+@wp.func
+def is_hidden(
+    b: int,
+    x: wp.vec3,
+    position: wp.vec3,
+    quaternion: wp.vec4,
+    rows: int,
+    columns: int,
+    params: Params,
+    fine_range: wp.array2d(dtype=float),
+) -> bool:
+    """Return True if x is more than 0.5 m away, and not seen from the drone."""
+    to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
+    distance = wp.length(to_x)
+    hidden = bool(False)
+    if distance > 0.5:
+        row, column = cell_of_direction(to_x, rows, columns)
+        hidden = distance > seen_range(b, row, column, rows, columns, params, fine_range)
+    return hidden
 
 
 @wp.func

@@ -10,8 +10,9 @@ from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import DroneState, Rollouts, bundle
-from aero_planner.kernels.stop_proof import evaluate_stops, seen_range
-from aero_planner.kernels.stops import STOPS, mover_allowances, roll_out_stops
+from aero_planner.kernels.stop_proof import evaluate_stops
+from aero_planner.kernels.stops import STOPS, mover_allowances, roll_out_stops, seen_range
+from tests.planner import reference
 from tests.planner.cases import config_of, random_case
 
 
@@ -114,10 +115,32 @@ def test_holes_of_one_cell_in_a_surface_are_not_seen_through(device: str, is_clo
     out = wp.zeros(r.shape, dtype=float, device=device)
     fine_range = wp.array(r.reshape(1, -1), dtype=float, device=device)
     wp.launch(seen_kernel, r.shape, inputs=[planner.params, fine_range], outputs=[out], device=device)
-    beside = np.maximum(np.roll(r, 1, axis=1), np.roll(r, -1, axis=1))
-    over = np.maximum(np.vstack((r[1:], r[-1:])), np.vstack((r[:1], r[:-1])))
-    np.testing.assert_array_equal(out.numpy(), np.minimum(r, np.minimum(beside, over)) if is_closed else r)
+    np.testing.assert_array_equal(out.numpy(), reference.closed(r) if is_closed else r)
     assert (out.numpy()[3, 5] == np.float32(0.8)) == is_closed
+
+
+def test_braking_into_unseen_space_is_not_clear(device: str):
+    on, off = (Planner(config_of(candidates__brake_seen=is_on), device=device) for is_on in (True, False))
+    M, N = len(on.config.kinds), on.config.sampling.steps
+    hidden_states = 0
+    for seed in range(10):
+        case = random_case(seed, nearest=0.8, tilt=0.3, speed=6.0)
+        on.reset()
+        off.reset()
+        plan, _ = case.plan(on), case.plan(off)
+        with_hidden, without = (planner.workspace.standing_clearance.numpy()[0] for planner in (on, off))
+        offset = on.outputs.positions.numpy()[0, M : M + 5, 1:].astype(np.float64) - case.position
+        r = reference.closed(plan.fine_range.astype(np.float64))
+        row, column, border = reference.cell_indices(offset @ reference.rotation(case.quaternion), *r.shape)
+        distance = np.linalg.norm(offset, axis=-1)
+        is_hidden = (distance > 0.5) & (distance > r[row, column])
+        is_sure = border > 1e-4
+        lowered = without[M : M + 5, :N] - with_hidden[M : M + 5, :N]
+        np.testing.assert_allclose(lowered[is_sure], is_hidden[is_sure].astype(float), atol=1e-6)
+        others = np.r_[:M, M + 5]
+        np.testing.assert_array_equal(with_hidden[others], without[others])
+        hidden_states += np.count_nonzero(is_hidden)
+    assert hidden_states > 20
 
 
 @wp.kernel

@@ -75,6 +75,11 @@ class CandidateConfig(ParameterSection, section="candidates"):
         0.33, "", 0.1, 1.0, "Length of the braking guide as a fraction of v T; smaller values brake harder.",
         label="Braking distance factor",
     )  # fmt: skip
+    brake_seen: bool = switch(
+        True, "A braking candidate that leads into space that is not seen from the drone is not clear: a stop that was "
+        "proven is flown instead.",
+        label="Braking in seen space",
+    )  # fmt: skip
     brake_fan: float = live(
         30.0, "deg", 0.0, 45.0, "Angle between the five braking candidates, of which the one with the largest "
         "clearance is flown, among those that are clear of static obstacles: there may be one straight ahead. 0 "
