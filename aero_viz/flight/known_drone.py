@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 from aero_planner import PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
 from aero_viz.flight.flight_settings import FlightSettings
@@ -54,3 +57,15 @@ def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerCo
 def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
     """Return `config` with the facts of the flight `after` in place of those of `before`."""
     return config_for_flight(config_without_facts(config, before), after)
+
+
+def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: SourceInfo) -> dict[str, Any]:
+    """Return the facts of a flight that differ once some parameters of `config` have changed, or are among these.
+
+    Some facts depend on other parameters: the top of the world on costs.use_ground, the delay on the lags of the rates.
+
+    Raises:
+        ValueError: a parameter is unknown or out of its bounds.
+    """
+    changed = config_for_flight(config_without_facts(config, flight).replace(changes), flight)
+    return {path: changed.get(path) for path in _FACTS if path in changes or changed.get(path) != config.get(path)}

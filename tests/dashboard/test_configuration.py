@@ -79,6 +79,25 @@ def test_an_uploaded_file_keeps_what_is_known_about_the_flight():
     session.close()
 
 
+def test_what_is_known_about_the_flight_follows_a_parameter_that_is_changed_on_the_page():
+    session = Session(small_source(), config=config_for_flight(small_config(), small_source().info))
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    title = PlannerConfig.find("costs.use_ground").title
+    controls = dashboard.server.gui._gui_input_handle_from_uuid
+    box = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == title)
+    known, height = session.config, "costs.height_max"
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        send(client, type="GuiUpdateMessage", uuid=box, updates={"value": False})
+        wait_for(lambda: not session.config.costs.use_ground, "the ground to be ignored")
+        assert session.config.get(height) == PlannerConfig().get(height) != known.get(height)
+        send(client, type="GuiUpdateMessage", uuid=box, updates={"value": True})
+        wait_for(lambda: session.config == known, "the top of the world to be known again")
+    dashboard.close()
+    session.close()
+
+
 def test_the_page_is_told_not_to_call_the_upload_of_a_refused_file_successful():
     session = Session(small_source(), config=small_config())
     session.tick()

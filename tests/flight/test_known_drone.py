@@ -11,6 +11,7 @@ from aero_viz.flight.known_drone import (
     config_for_flight,
     config_for_next_flight,
     config_without_facts,
+    facts_after,
 )
 from aero_viz.scenes import scene
 from aero_viz.sensors.lidar import LIDARS
@@ -58,3 +59,28 @@ def test_a_configuration_without_the_facts_of_its_flight_is_the_preset(preset: s
     assert config_without_facts(known, flight) == config
     chosen = known.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
     assert config_without_facts(chosen, flight) == config.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
+
+
+def test_the_top_of_the_world_follows_whether_the_ground_is_used():
+    flight = FlightSource(scene("wall", seed=0)).info
+    config = config_for_flight(PlannerConfig(), flight)
+    off, on = {"costs.use_ground": False}, {"costs.use_ground": True}
+    unused = config.replace({**off, **facts_after(off, config=config, flight=flight)})
+    assert config_without_facts(unused, flight) == PlannerConfig().replace(off)
+    assert unused.replace({**on, **facts_after(on, config=unused, flight=flight)}) == config
+    chosen = config.replace({"costs.height_max": 1.5})
+    assert facts_after(off, config=chosen, flight=flight) == {}, "a height that was chosen stays"
+
+
+def test_the_delay_follows_the_lag_that_the_planner_models():
+    vehicle = VehicleModel(latency=0.02, rate_lag=0.07)
+    flight = FlightSource(scene("wall", seed=0), vehicle=vehicle).info
+    config, changes = config_for_flight(PlannerConfig(), flight), {"vehicle.rate_xy_lag": 0.07}
+    assert facts_after(changes, config=config, flight=flight) == {"vehicle.delay": pytest.approx(0.02)}
+
+
+def test_a_fact_that_returns_to_its_default_is_known_again():
+    flight = FlightSource(scene("wall", seed=0)).info
+    config = config_for_flight(PlannerConfig(), flight)
+    changes, chosen = {"costs.height_max": 1e5}, config.replace({"costs.height_max": 1.5})
+    assert facts_after(changes, config=chosen, flight=flight) == {"costs.height_max": 2.5}

@@ -14,7 +14,7 @@ from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.panels.configuration import Baseline
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
-from aero_viz.flight.known_drone import config_without_facts
+from aero_viz.flight.known_drone import config_without_facts, facts_after
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -128,15 +128,13 @@ class ParameterPanel(Panel):
 
     def _reset(self, row: ParameterRow, client: viser.ClientHandle | None) -> None:
         self._refill([row])
-        preset = self.page.config_for_flight(self._baseline.config)
-        self._configure([row], {row.info.path: preset.get(row.info.path)}, client)
+        self._return_to_preset([row], client)
 
     def _on_reset(self, button: viser.GuiButtonHandle, rows: Sequence[ParameterRow]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             self._refill(rows)
-            preset = self.page.config_for_flight(self._baseline.config)
-            self._configure(rows, {row.info.path: preset.get(row.info.path) for row in rows}, event.client)
+            self._return_to_preset(rows, event.client)
 
     def _refill(self, rows: Sequence[ParameterRow]) -> None:
         """Let fields that were cleared on a page show their numbers again.
@@ -149,16 +147,30 @@ class ParameterPanel(Panel):
         self._shown = None
         self.page.refresh_after(TYPING_DELAY)
 
+    def _return_to_preset(self, rows: Sequence[ParameterRow], client: viser.ClientHandle | None) -> None:
+        changes: dict[str, object] = {row.info.path: self._baseline.config.get(row.info.path) for row in rows}
+        self._configure(rows, changes, client, is_reset=True)
+
     def _configure(
-        self, rows: Sequence[ParameterRow], changes: dict[str, object], client: viser.ClientHandle | None
+        self,
+        rows: Sequence[ParameterRow],
+        changes: dict[str, object],
+        client: viser.ClientHandle | None,
+        *,
+        is_reset: bool = False,
     ) -> None:
-        """Change some parameters; if the change is refused, show the values that stay, and the reason."""
-        reason = ""
+        """Change some parameters; if the change is refused, show the values that stay, and the reason.
+
+        Facts of the flight that depend on these parameters change with them. A fact that is reset is known again, and
+        one that is entered is used as it is.
+        """
+        reason, frame = "", self.session.frame
 
         def configure() -> None:
             nonlocal reason
             try:
-                self._session_controls.configure(changes)
+                facts = {} if frame is None else facts_after(changes, config=self.session.config, flight=frame.source)
+                self._session_controls.configure({**changes, **facts} if is_reset else {**facts, **changes})
             except ValueError as error:
                 reason = str(error)
                 raise
