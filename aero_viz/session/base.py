@@ -58,7 +58,7 @@ class SessionControls(Protocol):
         ...
 
     def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration and those of undo and redo by the results of `function`.
+        """Replace the current configuration, those of undo and redo, and a pinned one by the results of `function`.
 
         This cannot be undone. A configuration for which `function` raises ValueError stays.
         """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import weakref
 from collections.abc import Callable
@@ -84,6 +85,15 @@ class Comparison:
         self._clear()
         self.pinned = config or self._config()
         self._events.publish(ComparisonEvent("pinned", self.pinned))
+
+    def convert(self, function: Callable[[PlannerConfig], PlannerConfig]) -> None:
+        """Replace A by the result of `function`. A stays where that raises ValueError."""
+        if self.pinned is None:
+            return
+        with contextlib.suppress(ValueError):
+            config = function(self.pinned)
+            if config != self.pinned:
+                self.pin(config)
 
     def unpin(self) -> None:
         """End the comparison."""

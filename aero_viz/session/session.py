@@ -230,12 +230,17 @@ class Session(BaseSession):
         return config
 
     def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration and those of undo and redo by the results of `function`.
+        """Replace the current configuration, those of undo and redo, and a pinned one by the results of `function`.
 
         This cannot be undone. A configuration for which `function` raises ValueError stays.
         """
         config = self._configs.convert(function)
-        self._post(self._replan_if_changed)
+
+        def command() -> None:
+            self.comparison.convert(function)
+            self._replan_if_changed()
+
+        self._post(command)
         return config
 
     def undo(self) -> PlannerConfig:

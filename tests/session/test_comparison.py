@@ -135,6 +135,28 @@ def test_another_source_ends_the_flight_of_a(session):
     assert session.comparison.frame.source is session.source
 
 
+def test_a_learns_what_is_known_about_another_source_as_b_does(session):
+    session.start(play=False)
+    wait_for(lambda: session.frame is not None)
+    session.pin().result()
+    a = session.comparison.pinned
+    session.configure(SLOW)
+    session.set_source(small_source(goal=9.0)).result()
+    top = {"costs.height_max": 5.0}
+    session.convert_configs(lambda config: config.replace(top))
+    wait_for(lambda: session.comparison.pinned is not a and session.comparison.frame is not None)
+    assert session.comparison.pinned == session.comparison.frame.config == a.replace(top)
+    assert session.config == a.replace({**SLOW, **top})
+
+
+def test_a_stays_where_it_contradicts_what_is_known(session):
+    session.tick()
+    session.pin().result()
+    a = session.comparison.pinned
+    session.convert_configs(lambda config: config.replace({"costs.height_max": -1e6}))
+    assert session.comparison.pinned is a and session.config is a
+
+
 def test_a_flies_through_a_source_that_was_chosen_while_time_ran(session):
     events = listen(session)
     session.start(play=False)
