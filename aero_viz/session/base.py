@@ -33,8 +33,17 @@ class SessionControls(Protocol):
         """Seed of the planner's noise."""
         ...
 
-    def set_source(self, source: Source, *, seed: int | None = None) -> Future[Any]:
-        """Continue with another source, from its start, and with another seed of the planner's noise."""
+    def set_source(
+        self,
+        source: Source,
+        *,
+        seed: int | None = None,
+        convert: Callable[[PlannerConfig], PlannerConfig] | None = None,
+    ) -> Future[Any]:
+        """Continue with another source, from its start, and with another seed of the planner's noise.
+
+        `convert` replaces every configuration before the first tick, which cannot be undone.
+        """
         ...
 
     def set_goal(self, position: ArrayLike, *, quiet: bool = False) -> Future[Any]:
@@ -55,13 +64,6 @@ class SessionControls(Protocol):
 
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         """Use another configuration, or change some parameters of the current one."""
-        ...
-
-    def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration, those of undo and redo, and a pinned one by the results of `function`.
-
-        This cannot be undone. A configuration for which `function` raises ValueError stays.
-        """
         ...
 
     def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:

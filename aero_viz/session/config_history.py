@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -88,20 +88,31 @@ class ConfigHistory:
             self._last = (frozenset(), 0.0)
             return self._entries[self._index].config
 
-    def convert(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace every configuration by the result of `function`, which cannot be undone; return the current one.
+    @contextlib.contextmanager
+    def converted(self, function: Callable[[PlannerConfig], PlannerConfig]) -> Iterator[None]:
+        """Replace every configuration by the result of `function`, which cannot be undone, unless the context fails.
 
-        A configuration for which `function` raises ValueError stays.
+        A configuration for which `function` raises ValueError stays. If the context fails, all are as they were before.
         """
         with self._lock:
-            old = self._entries[self._index].config
-            for i, entry in enumerate(self._entries):
+            before = list(self._entries), self._index
+            entries = list(self._entries)
+            for i, entry in enumerate(entries):
                 with contextlib.suppress(ValueError):
-                    self._entries[i] = replace(entry, config=function(entry.config))
-            config = self._entries[self._index].config
-            self._version += config != old
-            self._last = (frozenset(), 0.0)
-            return config
+                    entries[i] = replace(entry, config=function(entry.config))
+            self._set(entries, self._index)
+        try:
+            yield
+        except BaseException:
+            with self._lock:
+                self._set(*before)
+            raise
+
+    def _set(self, entries: list[_Entry], index: int) -> None:
+        old, new = self._entries[self._index].config, entries[index].config
+        self._entries, self._index = entries, index
+        self._version += new != old
+        self._last = (frozenset(), 0.0)
 
     def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
         """Remove a configuration that cannot be used. If it is the current one, `good` replaces it."""

@@ -186,14 +186,29 @@ class Session(BaseSession):
         if self._engine.source.outcome is None:
             self._announced_epoch = None  # the flight continues and will end once more
 
-    def set_source(self, source: Source, *, seed: int | None = None) -> Future[Any]:
+    def set_source(
+        self,
+        source: Source,
+        *,
+        seed: int | None = None,
+        convert: Callable[[PlannerConfig], PlannerConfig] | None = None,
+    ) -> Future[Any]:
         """Continue with another source, from its start. If its first tick fails, the current source stays.
 
-        The session closes `source` in either case. `seed` is that of the planner's noise from now on; None leaves it.
+        The session closes `source` in either case.
+
+        Args:
+            source: the other source.
+            seed: seed of the planner's noise from now on; None leaves it.
+            convert: replaces all configurations before the first tick: the current one, those of undo and redo, and A.
+                This cannot be undone. A configuration for which it raises ValueError stays.
         """
 
         def command() -> None:
-            self._engine.set_source(source, seed=seed)
+            with self._configs.converted(convert or (lambda config: config)):
+                self._engine.set_source(source, seed=seed)
+            if convert is not None:
+                self.comparison.convert(convert)
             self._worlds = WorldHistory()  # nothing of the one before can be undone, and meshes are large
             self._clock.restart(self._engine.next_time)
 
@@ -227,20 +242,6 @@ class Session(BaseSession):
         """
         config = self._configs.change(change)
         self._post(self._replan_if_changed)
-        return config
-
-    def convert_configs(self, function: Callable[[PlannerConfig], PlannerConfig]) -> PlannerConfig:
-        """Replace the current configuration, those of undo and redo, and a pinned one by the results of `function`.
-
-        This cannot be undone. A configuration for which `function` raises ValueError stays.
-        """
-        config = self._configs.convert(function)
-
-        def command() -> None:
-            self.comparison.convert(function)
-            self._replan_if_changed()
-
-        self._post(command)
         return config
 
     def undo(self) -> PlannerConfig:

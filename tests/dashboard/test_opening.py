@@ -135,6 +135,15 @@ def test_what_the_planner_knows_is_that_of_the_flight_and_nothing_for_a_recordin
         assert (desk.session.config == small_config()) is (name == recording.name)
 
 
+def test_what_the_planner_knows_is_no_change_of_parameters_in_the_flight(desk):
+    before = desk.session.source
+    open_path(desk, "poles.json")
+    wait_for(lambda: desk.session.source is not before, "the world")
+    wait_for(nothing_is_being_opened, "the end of the opening")
+    assert desk.session.config != small_config() and desk.dashboard.drain()
+    assert source_panel(desk).page.history.past().events == ()
+
+
 def test_undo_leads_to_no_facts_of_another_flight(desk, folder):
     shutil.copy(shipped_recordings()["forest_mid360"][0], folder)
     desk.session.configure({"costs.q_track": 1.0})

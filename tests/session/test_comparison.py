@@ -141,19 +141,19 @@ def test_a_learns_what_is_known_about_another_source_as_b_does(session):
     session.pin().result()
     a = session.comparison.pinned
     session.configure(SLOW)
-    session.set_source(small_source(goal=9.0)).result()
     top = {"costs.height_max": 5.0}
-    session.convert_configs(lambda config: config.replace(top))
-    wait_for(lambda: session.comparison.pinned is not a and session.comparison.frame is not None)
-    assert session.comparison.pinned == session.comparison.frame.config == a.replace(top)
-    assert session.config == a.replace({**SLOW, **top})
+    session.set_source(small_source(goal=9.0), convert=lambda config: config.replace(top)).result()
+    assert session.comparison.pinned == a.replace(top) and session.config == a.replace({**SLOW, **top})
+    wait_for(lambda: session.comparison.frame is not None)
+    assert session.comparison.frame.config == a.replace(top)
 
 
 def test_a_stays_where_it_contradicts_what_is_known(session):
     session.tick()
     session.pin().result()
     a = session.comparison.pinned
-    session.convert_configs(lambda config: config.replace({"costs.height_max": -1e6}))
+    below = {"costs.height_max": -1e6}
+    session.set_source(small_source(goal=9.0), convert=lambda config: config.replace(below)).result()
     assert session.comparison.pinned is a and session.config is a
 
 

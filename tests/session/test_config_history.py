@@ -107,8 +107,21 @@ def test_a_conversion_holds_for_every_configuration_and_is_no_step_of_undo():
     refused = history.change({"costs.height_min": 4.0})  # above the new greatest height
     history.go(-1)
     version = history.current[1]
-    history.convert(lambda config: config.replace({"costs.height_max": 3.0}))
+    with history.converted(lambda config: config.replace({"costs.height_max": 3.0})):
+        pass
     assert history.current == (PlannerConfig().replace({"costs.height_max": 3.0, "costs.q_track": 1.0}), version + 1)
     assert history.go(-1) == PlannerConfig().replace({"costs.height_max": 3.0})
     history.go(+1)
     assert history.go(+1) == refused
+
+
+def test_a_conversion_whose_context_fails_leaves_no_trace():
+    history = ConfigHistory(PlannerConfig())
+    changed = history.change({"costs.q_track": 1.0})
+    with (
+        pytest.raises(RuntimeError),
+        history.converted(lambda config: config.replace({"costs.height_max": 3.0})),
+    ):
+        assert history.current[0].costs.height_max == 3.0
+        raise RuntimeError
+    assert history.current[0] == changed and history.go(-1) == PlannerConfig()

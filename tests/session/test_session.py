@@ -297,11 +297,13 @@ def test_a_source_whose_first_tick_fails_leaves_the_old_one(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
     live.step(2).result()
-    old, frame = live.source, live.frame
-    future = live.set_source(small_source(goal=26.0, kind=Shortsighted))
+    old, frame, config = live.source, live.frame, live.config
+    future = live.set_source(
+        small_source(goal=26.0, kind=Shortsighted), convert=lambda c: c.replace({"costs.q_track": 9.0})
+    )
     with pytest.raises(ValueError, match=r"goal\.position"):
         future.result()
-    assert live.source is old
+    assert live.source is old and live.config == config
     live.step().result()
     assert live.frame is not None and frame is not None
     assert live.frame.index == frame.index + 1

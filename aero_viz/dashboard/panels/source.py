@@ -251,23 +251,21 @@ class SourcePanel(Panel):
         self._is_read = True
         frame, was_playing = self.session.frame, self.session.playing
         had_ended = frame is not None and frame.outcome is not None
-        self.session.pause()  # no tick before the planner knows what is known about the flight
+        self.session.pause()  # a link goes to its time only after its configuration is used
+
+        def as_known(config: PlannerConfig) -> PlannerConfig:
+            """Return a configuration with the facts of the new flight; a recording has none."""
+            return config if frame is None else config_for_next_flight(config, before=frame.source, after=source.info)
+
         with contextlib.suppress(CancelledError):  # the session was closed in the meantime
             # If its first tick fails, the session notifies everyone.
-            is_used = self._controls.set_source(source, seed=seed).exception() is None
+            is_used = self._controls.set_source(source, seed=seed, convert=as_known).exception() is None
             if is_used:
-                self._plan_as_known(frame, source)
                 self._opened, self._is_listed = path, False
             if was_playing or (is_used and had_ended):
                 self.session.play()
             return is_used
         return False
-
-    def _plan_as_known(self, before: Frame | None, source: Source) -> None:
-        """Give the planner the facts of another flight, also in the configurations of undo; a recording has none."""
-        if before is not None:
-            old, new = before.source, source.info
-            self._controls.convert_configs(lambda config: config_for_next_flight(config, before=old, after=new))
 
     def _find(self, spec: str, client: viser.ClientHandle | None) -> str | None:
         """Return the argument of the opener for a name or a path; None if the page may not open it."""
