@@ -56,9 +56,10 @@ def explain(
     from aero_viz.explain.post_mortem import explain_flight
     from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
     from aero_viz.flight import FlightInterrupted, fly
+    from aero_viz.logs.log_contents import is_flight_log
 
     check_output_files(log, overwrite=overwrite, derived=[picture, trajectory])
-    if flight.endswith(".mcap"):
+    if flight.endswith(".mcap") or is_flight_log(flight):
         is_flag_set = world_flags != _WORLD or flight_flags != _FLIGHT or config_flags != _CONFIG or speed is not None
         if is_flag_set or trajectory is not None or log is not None or (lidar, seed) != ("mid360", 0):
             raise UserError(

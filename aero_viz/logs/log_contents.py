@@ -140,7 +140,7 @@ class LogContents:
 
 def is_flight_log(path: str | Path) -> bool:
     """Return True if `path` is an MCAP file with the plans of this planner."""
-    if Path(path).suffix.lower() != ".mcap" or not Path(path).is_file():
+    if not Path(path).is_file():
         return False
     try:
         with open_user_file(path) as file:

@@ -47,3 +47,9 @@ def test_a_report_is_printed_also_if_there_is_no_picture(
 ):
     code, out, error = run(capsys, "explain", short_poles, "--picture", str(tmp_path / "map.svg"))
     assert code == 2 and "there is nothing to explain" in out and "--picture" in error
+
+
+def test_a_log_is_explained_whatever_its_name(capsys: pytest.CaptureFixture[str], poles: str, tmp_path: Path):
+    log = str(tmp_path / "flight.log")
+    run_json(capsys, "fly", poles, "--rules.time-limit", "0.3", "--log", log, "--json")
+    assert run_json(capsys, "explain", log, "--json")["outcome"] == "timeout"

@@ -1,6 +1,7 @@
 """Replays of flight logs: goal, plans, outcome and world as they were."""
 
 import json
+import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -111,6 +112,13 @@ def test_the_outcome_is_told_at_the_start_and_at_the_end(flown, replay):
     frame = session.tick()
     assert frame.outcome == "end"
     assert outcome.replace("_", " ") in str(frame.explanation)
+
+
+def test_the_content_of_a_file_makes_it_a_flight_log_not_its_name(flown, tmp_path):
+    path = shutil.copy(flown[0], tmp_path / "flight.log")
+    source = open_source(str(path))
+    assert isinstance(source, FlightReplay)
+    source.close()
 
 
 def test_other_files_are_no_flight_logs(tmp_path):
