@@ -58,16 +58,25 @@ def test_a_height_has_a_field_without_a_slider(server, path):
     assert control.value == 2.5 and not isinstance(control, SliderControl)
 
 
-def test_words_of_the_search_are_matched_whole(server):
+@pytest.mark.parametrize(
+    ("query", "path"),
+    [
+        ("Q_p", "costs.q_position"),
+        ("--escape.previous-discount", "escape.previous_discount"),
+        ("escape.previous_discount", "escape.previous_discount"),
+        ("look-ahead rest", "anchors.lookahead_rest"),
+    ],
+)
+def test_words_of_the_search_are_matched_whole(server, query, path):
     def ignore(*_: object) -> None:
         pass
 
     paths = [
         info.path
         for info in PlannerConfig.parameters()
-        if ParameterRow(server.gui, info, info.default, on_change=ignore, on_reset=ignore).matches("Q_p")
+        if ParameterRow(server.gui, info, info.default, on_change=ignore, on_reset=ignore).matches(query)
     ]
-    assert paths == ["costs.q_position"]
+    assert paths == [path]
 
 
 def test_a_logarithmic_slider_stays_within_the_bounds_of_the_parameter(server):

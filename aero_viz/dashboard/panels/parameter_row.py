@@ -40,7 +40,7 @@ class ParameterRow:
         self._mark = gui.add_html("", visible=False)
         self.control: Control = add_control(gui, info, value)
         self._reset = gui.add_button_group("", ("reset",), hint=f"Return {info.path} to the preset.", visible=False)
-        self._words = f"{info.path} {info.title} {info.group} {info.help}".lower().replace("_", " ")
+        self._words = _plain(f"{info.path} {info.title} {info.group} {info.help}")
         self._refusal = ""
         self._is_visible = True
         if on_change is not None:
@@ -51,8 +51,8 @@ class ParameterRow:
             on_reset(self, event.client)
 
     def matches(self, query: str) -> bool:
-        """Return True if the parameter's path, label, symbol, group or help contains every word of `query`."""
-        return all(word.replace("_", " ") in self._words for word in query.lower().split())
+        """Return True if the parameter's path, flag, label, symbol, group or help contains every word of `query`."""
+        return all(_plain(word).strip() in self._words for word in query.split())
 
     def refuse(self, reason: str) -> None:
         """Show why a value was refused, until the next call; empty shows nothing."""
@@ -75,3 +75,8 @@ class ParameterRow:
             self._is_visible = visible
             changes += [(handle, "visible", visible) for handle in self.control.handles]
         return [*changes, *self.control.show(value)]
+
+
+def _plain(text: str) -> str:
+    """Return a text in which a path is written as its flag is: --costs.q-track sets costs.q_track."""
+    return text.lower().replace("_", " ").replace("-", " ")
