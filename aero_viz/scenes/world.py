@@ -125,7 +125,7 @@ class World:
             UserError: the file cannot be read or does not describe a world. The message names file, key and row.
         """
         try:
-            return cls.from_dict(json.loads(read_user_text(path, limit=TEXT_MAX)))
+            return cls.from_dict(json.loads(read_user_text(path, limit=TEXT_MAX), object_pairs_hook=_object))
         except FileNotFoundError as error:
             raise UserError(f"There is no file {path}.") from error
         except OSError as error:
@@ -305,6 +305,16 @@ def _table(value: Any, key: str, columns: str) -> NDArray[np.float64]:
     if isinstance(rows, np.ndarray) and rows.shape[1:] == (count,) and rows.dtype == float and np.isfinite(rows).all():
         return rows.copy()  # avoids checking thousands of rows one by one
     return np.stack([_row(row, count, f'"{key}" row {i}', columns) for i, row in enumerate(rows)])
+
+
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return a JSON object; ValueError if it has a key twice, of which JSON would keep the last."""
+    content: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in content:
+            raise ValueError(f"the key {_abbreviated(key)} is given twice; keep one.")
+        content[key] = value
+    return content
 
 
 def _corners(bounds: Any) -> NDArray[np.float64]:

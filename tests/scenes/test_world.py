@@ -118,6 +118,14 @@ def test_numbers_that_are_not_finite_are_refused(tmp_path):
         World.load(path)
 
 
+def test_a_key_that_is_given_twice_is_refused(tmp_path):
+    path = tmp_path / "w.json"
+    sphere = '"spheres": [[5, 0, 0, 1]]'
+    path.write_text(f'{{"name": "w", "start": [0, 0, 0], "goal": [9, 0, 0], {sphere}, {sphere}}}')
+    with pytest.raises(UserError, match=r"w\.json is not a world: the key 'spheres' is given twice"):
+        World.load(path)
+
+
 @pytest.mark.parametrize("content", [b"{", b"[1, 2]", b"\xff\xfe\x00", b"[" * 100_000])
 def test_a_file_that_is_not_a_world_is_refused(tmp_path, content):
     path = tmp_path / "w.json"
