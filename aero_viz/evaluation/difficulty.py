@@ -64,7 +64,7 @@ class Difficulty:
 
 
 def measure_difficulty(world: World, *, radius: float = 0.25) -> Difficulty | None:
-    """Return the difficulty of a world, or None where no guide is found. The result is always the same.
+    """Return the difficulty of a world, or None where no guide is found or it has no length. It is always the same.
 
     Args:
         world: obstacles, start and goal.
@@ -76,6 +76,8 @@ def measure_difficulty(world: World, *, radius: float = 0.25) -> Difficulty | No
     if guide is None:
         return None
     length = float(np.linalg.norm(np.diff(guide, axis=0), axis=1).sum())
+    if length == 0.0:  # the goal is the start
+        return None
     points = surface_points(_nearby(world, _along(guide, 0.5)[0]), spacing=_SPACING)
     if len(points) == 0:
         return Difficulty(0.5, 0.0, _angle_over_length(guide, length), length)

@@ -40,17 +40,19 @@ class WorldInfo:
         named = [f"{n} {_SINGULAR[plural] if n == 1 else plural}" for plural, n in counts.items() if n]
         obstacles = ", ".join(named) or "none"
         ground = content["ground_height"]
+        way = float(np.linalg.norm(self.world.goal - self.world.start))
         rows = [
             ["world", self.world.name],
             ["obstacles", obstacles],
             ["ground", "none known" if ground is None else f"{ground:.2f} m"],
             ["start", _position(content["start"])],
-            ["goal", f"{_position(content['goal'])}, {np.linalg.norm(self.world.goal - self.world.start):.1f} m away"],
+            ["goal", f"{_position(content['goal'])}, {way:.1f} m away"],
             ["airspace", f"{_position(content['bounds'][0])} to {_position(content['bounds'][1])}"],
             [f"path for a radius of {self.radius:g} m", "yes" if about["passable"] else "no"],
         ]
         if about["difficulty"] is None:
-            return format_table([*rows, ["difficulty", "unknown: no guide from start to goal was found"]])
+            reason = "no guide from start to goal was found" if way else "the goal is the start"
+            return format_table([*rows, ["difficulty", f"unknown: {reason}"]])
         rows += [
             ["guide", f"{about['guide_length']:.1f} m"],
             ["traversability obstruction", f"{about['traversability_obstruction']:.2f}, the least of 8 corridors"],

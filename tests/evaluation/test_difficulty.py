@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from aero_viz.evaluation.difficulty import measure_difficulty
+from aero_viz.evaluation.world_info import examine_world
 from aero_viz.scenes import World, scene
 
 START, GOAL = np.array([0.0, 0.0, 0.0]), np.array([10.0, 0.0, 0.0])
@@ -58,6 +59,12 @@ def test_no_guide_leads_out_of_a_closed_room():
     sides = [(0.0, y, 0.0, 8.0, 0.5, 20.0, 0.0) for y in (-4.0, 4.0)]
     sides += [(x, 0.0, 0.0, 0.5, 8.0, 20.0, 0.0) for x in (-4.0, 4.0)]
     assert measure_difficulty(world(*sides)) is None
+
+
+def test_a_goal_at_the_start_has_no_difficulty():
+    there = World("test", START, START, spheres=np.array([[3.0, 0.0, 0.0, 1.0]]))
+    assert measure_difficulty(there) is None
+    assert "unknown: the goal is the start" in examine_world(there, radius=0.25).format_table()
 
 
 def test_more_trees_are_harder_and_the_result_repeats():
