@@ -62,4 +62,5 @@ class VehicleConfig(ParameterSection, section="vehicle"):
 
         The lag is left out if `rate_xy_lag` models it.
         """
-        return min(latency + (rate_lag if self.rate_xy_lag == 0.0 else 0.0), 0.5)
+        delay = latency + (rate_lag if self.rate_xy_lag == 0.0 else 0.0)
+        return min(round(delay, 9), 0.5)  # people read it: 0.09, not the 0.09000000000000001 of 0.02 + 0.07
