@@ -51,8 +51,8 @@ class CandidateConfig(ParameterSection, section="candidates"):
     )  # fmt: skip
     widest_stop: bool = switch(
         True, "If no candidate has a clear stop and no braking is clear either, fly the candidate whose stop keeps the "
-        "largest clearance, unless that is less than half of stop_clearance. Only with prefer_safe, and if the proven "
-        "stop is flown instead.",
+        "largest clearance, unless that is less than half of stop_clearance. Only with prefer_safe, and if prove_stop "
+        "is 'instead'.",
         label="Widest stop",
     )  # fmt: skip
     stop_clearance: float = live(
