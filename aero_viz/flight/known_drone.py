@@ -49,8 +49,7 @@ def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfi
 
 def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
     """Return `config` with default values in place of the facts of a flight: the inverse of `config_for_flight`."""
-    default = PlannerConfig()
-    known = config_for_flight(config.replace({path: default.get(path) for path in _FACTS}), flight)
+    default, known = PlannerConfig(), _known(config, flight)
     return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known.get(path)})
 
 
@@ -60,12 +59,26 @@ def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: 
 
 
 def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: SourceInfo) -> dict[str, Any]:
-    """Return the facts of a flight that differ once some parameters of `config` have changed, or are among these.
+    """Return the facts of a flight that some changes of `config` bring about, also for those that they reset.
 
     Some facts depend on other parameters: the top of the world on costs.use_ground, the delay on the lags of the rates.
+    A value that was chosen in place of a fact stays.
 
     Raises:
         ValueError: a parameter is unknown or out of its bounds.
     """
-    changed = config_for_flight(config_without_facts(config, flight).replace(changes), flight)
-    return {path: changed.get(path) for path in _FACTS if path in changes or changed.get(path) != config.get(path)}
+    changed = config.replace(changes)
+    before, after = _known(config, flight), _known(changed, flight)
+    facts = {
+        path: after.get(path)
+        for path in _FACTS
+        if after.get(path) != before.get(path) and config.get(path) == before.get(path)
+    }
+    known = config_for_flight(changed, flight)
+    return facts | {path: known.get(path) for path in _FACTS if path in changes}
+
+
+def _known(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
+    """Return `config` with all facts of a flight, also in place of values that were chosen."""
+    default = PlannerConfig()
+    return config_for_flight(config.replace({path: default.get(path) for path in _FACTS}), flight)

@@ -70,6 +70,8 @@ def test_the_top_of_the_world_follows_whether_the_ground_is_used():
     assert unused.replace({**on, **facts_after(on, config=unused, flight=flight)}) == config
     chosen = config.replace({"costs.height_max": 1.5})
     assert facts_after(off, config=chosen, flight=flight) == {}, "a height that was chosen stays"
+    unlimited = config.replace({"costs.height_max": 1e5})
+    assert facts_after({"costs.q_track": 9.0}, config=unlimited, flight=flight) == {}, "also the default"
 
 
 def test_the_delay_follows_the_lag_that_the_planner_models():
