@@ -26,31 +26,20 @@ def config_for_drone(
     know the top because a flight that leaves the bounds has failed, and a LiDAR does not see them. Like the height of
     the ground, the top is used only with costs.use_ground.
     """
-    default = PlannerConfig()
-    roll, pitch, _ = lidar.mount_angles
-    view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
-    known = {
-        "partition.view_min": view[0],
-        "partition.view_max": view[1],
-        "vehicle.delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
-    }
-    if world is not None and config.costs.use_ground:
-        known["costs.height_max"] = float(world.bounds[1, 2])
-    return config.replace({path: value for path, value in known.items() if config.get(path) == default.get(path)})
+    default, facts = PlannerConfig(), _facts(config, lidar=lidar, vehicle=vehicle, world=world)
+    return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
 
 
 def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
     """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
-    if not flight.closed_loop or "lidar" not in flight.settings:
-        return config
-    settings = FlightSettings.from_dict(flight.settings)
-    return config_for_drone(config, lidar=settings.lidar, vehicle=settings.drone, world=flight.world)
+    facts, default = _known(config, flight), PlannerConfig()
+    return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
 
 
 def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
     """Return `config` with default values in place of the facts of a flight: the inverse of `config_for_flight`."""
     default, known = PlannerConfig(), _known(config, flight)
-    return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known.get(path)})
+    return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known[path]})
 
 
 def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
@@ -67,18 +56,31 @@ def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: So
     Raises:
         ValueError: a parameter is unknown or out of its bounds.
     """
-    changed = config.replace(changes)
-    before, after = _known(config, flight), _known(changed, flight)
-    facts = {
-        path: after.get(path)
-        for path in _FACTS
-        if after.get(path) != before.get(path) and config.get(path) == before.get(path)
-    }
-    known = config_for_flight(changed, flight)
-    return facts | {path: known.get(path) for path in _FACTS if path in changes}
-
-
-def _known(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
-    """Return `config` with all facts of a flight, also in place of values that were chosen."""
     default = PlannerConfig()
-    return config_for_flight(config.replace({path: default.get(path) for path in _FACTS}), flight)
+    before, after = _known(config, flight), _known(config.replace(changes), flight)
+    facts = {path: after[path] for path in _FACTS if after[path] != before[path] and config.get(path) == before[path]}
+    chosen = {path: value for path, value in changes.items() if value != default.get(path)}
+    return facts | {path: chosen.get(path, after[path]) for path in _FACTS if path in changes}
+
+
+def _known(config: PlannerConfig, flight: SourceInfo) -> dict[str, float]:
+    """Return all facts of a flight, with default values for what is unknown. They need not fit to what was chosen."""
+    default = PlannerConfig()
+    known = {path: float(default.get(path)) for path in _FACTS}
+    if not flight.closed_loop or "lidar" not in flight.settings:
+        return known
+    settings = FlightSettings.from_dict(flight.settings)
+    return known | _facts(config, lidar=settings.lidar, vehicle=settings.drone, world=flight.world)
+
+
+def _facts(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, float]:
+    roll, pitch, _ = lidar.mount_angles
+    view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
+    facts = {
+        "partition.view_min": view[0],
+        "partition.view_max": view[1],
+        "vehicle.delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
+    }
+    if world is not None and config.costs.use_ground:
+        facts["costs.height_max"] = float(world.bounds[1, 2])
+    return facts

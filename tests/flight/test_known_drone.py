@@ -86,3 +86,11 @@ def test_a_fact_that_returns_to_its_default_is_known_again():
     config = config_for_flight(PlannerConfig(), flight)
     changes, chosen = {"costs.height_max": 1e5}, config.replace({"costs.height_max": 1.5})
     assert facts_after(changes, config=chosen, flight=flight) == {"costs.height_max": 2.5}
+
+
+def test_heights_that_were_chosen_above_the_world_stay():
+    flight = FlightSource(scene("wall", seed=0)).info
+    chosen = {"costs.height_max": 9.0, "costs.height_min": 5.0}
+    config = config_for_flight(PlannerConfig(), flight).replace(chosen)
+    assert config_without_facts(config, flight) == PlannerConfig().replace(chosen)
+    assert facts_after({"costs.q_track": 9.0}, config=config, flight=flight) == {}
