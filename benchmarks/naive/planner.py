@@ -22,6 +22,7 @@ NEUTRAL: dict[str, Value] = {
     "partition.continue_above": 0.0,
     "anchors.lookahead_time": 0.0,
     "candidates.prove_stop": "off",
+    "candidates.brake_seen": False,
     "candidates.speed_margin": 0.0,
     "costs.q_height": 0.0,
     "escape.q_escape": 0.0,

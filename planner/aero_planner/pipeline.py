@@ -280,9 +280,8 @@ class Pipeline(LaunchSequence):
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                r.drone, i.position, i.quaternion, i.ground_height, r.goal, r.movers, self._params, sizes.M,
-                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.cell_ends, w.point_packs, w.waypoints,
-                r.rollouts,
+                r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows, w.cell_ends,
+                w.point_packs, w.waypoints, r.rollouts,
             ],
             outputs=[o.clearance, w.state_terms, w.standing_clearance],
             block_dim=32,
@@ -291,8 +290,9 @@ class Pipeline(LaunchSequence):
             selection.score_instances(self._tuning),
             (sizes.B, sizes.R, lanes),
             inputs=[
-                i.goal_position, w.command, self._params, self._previous_index, r.escape, w.waypoints, o.controls,
-                o.positions, w.state_terms, w.standing_clearance,
+                i.position, i.quaternion, i.goal_position, w.command, self._params, sizes.M, self._previous_index,
+                sizes.F0, sizes.F1, o.fine_range, r.escape, w.waypoints, o.controls, o.positions, w.state_terms,
+                w.standing_clearance,
             ],
             outputs=[r.costs, w.instance_scores],
             block_dim=32,

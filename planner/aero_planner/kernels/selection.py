@@ -33,7 +33,7 @@ from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, s
 wp.set_module_options({"enable_backward": False})
 
 _HIDDEN = wp.constant(1.0)
-"""Distance by which a braking guide counts as nearer to obstacles where it is not seen [m]."""
+"""Distance by which a braking guide that leads into unseen space counts as nearer to obstacles [m]."""
 
 
 @functools.cache
@@ -104,18 +104,13 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         # problem
         drone: DroneState,
         center: wp.array(dtype=wp.vec3),
-        quaternion: wp.array(dtype=wp.vec4),
         ground_height: wp.array(dtype=float),
         goal: GoalState,
         movers: Movers,
         # configuration
         params: wp.array(dtype=Params),
-        instances: int,
         duplicate_rows: int,
-        rows: int,
-        columns: int,
         # in
-        fine_range: wp.array2d(dtype=float),
         cell_ends: wp.array2d(dtype=int),
         point_packs: wp.array2d(dtype=Pack),
         waypoints: wp.array2d(dtype=wp.vec3),
@@ -129,8 +124,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         and the start, in this order.
 
         `state_terms` are J_goal, J_col, the speed cost and the clearance [m]; `standing_clearance` is that without
-        what moves. Where a braking guide is not seen, both clearances are less by `_HIDDEN`. Launched over
-        [B, R, N + PROBES + N + 1, threads per query].
+        what moves. Launched over [B, R, N + PROBES + N + 1, threads per query].
         """
         b, m, t, thread = wp.tid()
         c = params[b]
@@ -167,9 +161,6 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
             J_speed = speed_cost(v, c)
             margin = c.speed_margin * wp.length(v)
             clearance[b, m, t] = wp.min(d, c.distance_max)
-            if c.brake_seen != 0 and m >= instances and m < instances + BRAKING_FAN:
-                hidden = is_hidden(b, x, center[b], quaternion[b], rows, columns, c, fine_range)
-                margin += wp.where(hidden, _HIDDEN, 0.0)
         state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d - margin)
         standing_clearance[b, m, t] = standing - margin
 
@@ -185,12 +176,18 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def score_instances(
         # problem
+        position: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
         goal_position: wp.array(dtype=wp.vec3),
         command: wp.array(dtype=wp.vec4),
         # configuration
         params: wp.array(dtype=Params),
+        instances: int,
         previous_index: int,
+        rows: int,
+        columns: int,
         # in
+        fine_range: wp.array2d(dtype=float),
         escape: Escape,
         waypoints: wp.array2d(dtype=wp.vec3),
         controls: wp.array3d(dtype=wp.vec4),
@@ -204,7 +201,8 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         """Sum S2 of each instance and its terms.
 
         `instance_scores` are S2, the minimum clearance, for which what moves counts as farther away by the first of
-        `mover_allowances`, and the minimum clearance without what moves [m]. Launched over [B, R, THREADS].
+        `mover_allowances`, and the minimum clearance without what moves [m]. Both are less by `_HIDDEN` for a braking
+        guide that leads into space that is not seen. Launched over [B, R, THREADS].
         """
         b, m, thread = wp.tid()
         c = params[b]
@@ -215,10 +213,16 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         nearest = float(wp.INF)
         nearest_standing = float(wp.INF)
         blocked = float(0.0)
+        hidden = float(0.0)
+        may_be_hidden = c.brake_seen != 0 and m >= instances and m < instances + BRAKING_FAN
         for t in range(thread, start, THREADS):
             term = state_terms[b, m, t]
             if t < steps:
                 sums += term
+                if may_be_hidden:
+                    x = positions[b, m, t + 1]
+                    if is_hidden(b, x, position[b], quaternion[b], rows, columns, c, fine_range):
+                        hidden += 1.0
             if t < steps or (c.between_steps != 0 and t >= steps + PROBES):
                 nearest = wp.min(nearest, term[3] + allowance)
                 nearest_standing = wp.min(nearest_standing, standing_clearance[b, m, t])
@@ -230,6 +234,9 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
         nearest_standing = minimum(nearest_standing)
         nearest = wp.min(minimum(nearest), nearest_standing)
         blocked = total(blocked)
+        if total(hidden) > 0.0:
+            nearest -= _HIDDEN
+            nearest_standing -= _HIDDEN
         if thread == 0:
             costs.goal_cost[b, m] = J_goal
             costs.collision_cost[b, m] = J_col

@@ -121,26 +121,25 @@ def test_holes_of_one_cell_in_a_surface_are_not_seen_through(device: str, is_clo
 
 def test_braking_into_unseen_space_is_not_clear(device: str):
     on, off = (Planner(config_of(candidates__brake_seen=is_on), device=device) for is_on in (True, False))
-    M, N = len(on.config.kinds), on.config.sampling.steps
-    hidden_states = 0
+    M, hidden_guides = len(on.config.kinds), 0
     for seed in range(10):
         case = random_case(seed, nearest=0.8, tilt=0.3, speed=6.0)
         on.reset()
         off.reset()
         plan, _ = case.plan(on), case.plan(off)
-        with_hidden, without = (planner.workspace.standing_clearance.numpy()[0] for planner in (on, off))
+        scores, clear = (planner.workspace.instance_scores.numpy()[0] for planner in (on, off))
         offset = on.outputs.positions.numpy()[0, M : M + 5, 1:].astype(np.float64) - case.position
         r = reference.closed(plan.fine_range.astype(np.float64))
         row, column, border = reference.cell_indices(offset @ reference.rotation(case.quaternion), *r.shape)
         distance = np.linalg.norm(offset, axis=-1)
-        is_hidden = (distance > 0.5) & (distance > r[row, column])
-        is_sure = border > 1e-4
-        lowered = without[M : M + 5, :N] - with_hidden[M : M + 5, :N]
-        np.testing.assert_allclose(lowered[is_sure], is_hidden[is_sure].astype(float), atol=1e-6)
-        others = np.r_[:M, M + 5]
-        np.testing.assert_array_equal(with_hidden[others], without[others])
-        hidden_states += np.count_nonzero(is_hidden)
-    assert hidden_states > 20
+        is_sure = border > 1e-4  # rounding decides on the cells of the others
+        is_hidden = ((distance > 0.5) & (distance > r[row, column]) & is_sure).any(axis=1)
+        expected = clear.copy()
+        expected[M : M + 5, 1:] -= is_hidden[:, None]
+        compared = np.append(np.r_[:M, M + 5], M + np.flatnonzero(is_hidden | is_sure.all(axis=1)))
+        np.testing.assert_allclose(scores[compared], expected[compared], atol=1e-6)
+        hidden_guides += np.count_nonzero(is_hidden)
+    assert 5 < hidden_guides < 45
 
 
 @wp.kernel
