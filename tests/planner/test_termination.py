@@ -83,8 +83,8 @@ from aero_planner.termination import install_handler
 
 fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 install_handler()
-print("ready", flush=True)
 try:
+    print("ready", flush=True)
     time.sleep(20.0)
 except KeyboardInterrupt:
     print("interrupted", flush=True)
