@@ -94,9 +94,8 @@ except KeyboardInterrupt:
 
 def test_results_are_kept_when_the_terminal_is_lost(tmp_path: Path):
     controller, terminal = os.openpty()
-    streams = {"stdin": terminal, "stdout": terminal, "stderr": terminal}
     command = [sys.executable, "-c", IN_A_TERMINAL, str(tmp_path / "result")]
-    with subprocess.Popen(command, **streams, start_new_session=True) as process:
+    with subprocess.Popen(command, stdin=terminal, stdout=terminal, stderr=terminal, start_new_session=True) as process:
         os.close(terminal)
         assert os.read(controller, 100).startswith(b"ready")
         os.close(controller)

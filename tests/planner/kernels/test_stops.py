@@ -101,8 +101,9 @@ def test_the_widest_stop_is_the_widest_of_all():
 
 @wp.kernel
 def seen_kernel(params: wp.array(dtype=Params), fine_range: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
-    row, column = wp.tid()
+    i = wp.tid()
     rows, columns = out.shape[0], out.shape[1]
+    row, column = i // columns, i % columns
     out[row, column] = seen_range(0, row, column, rows, columns, params[0], fine_range)
 
 
@@ -114,7 +115,7 @@ def test_holes_of_one_cell_in_a_surface_are_not_seen_through(device: str, is_clo
     r[3, 5] = 10.0
     out = wp.zeros(r.shape, dtype=float, device=device)
     fine_range = wp.array(r.reshape(1, -1), dtype=float, device=device)
-    wp.launch(seen_kernel, r.shape, inputs=[planner.params, fine_range], outputs=[out], device=device)
+    wp.launch(seen_kernel, r.size, inputs=[planner.params, fine_range], outputs=[out], device=device)
     np.testing.assert_array_equal(out.numpy(), reference.closed(r) if is_closed else r)
     assert (out.numpy()[3, 5] == np.float32(0.8)) == is_closed
 
