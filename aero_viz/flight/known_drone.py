@@ -26,14 +26,12 @@ def config_for_drone(
     know the top because a flight that leaves the bounds has failed, and a LiDAR does not see them. Like the height of
     the ground, the top is used only with costs.use_ground.
     """
-    default, facts = PlannerConfig(), _facts(config, lidar=lidar, vehicle=vehicle, world=world)
-    return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
+    return _with_facts(config, _facts(config, lidar=lidar, vehicle=vehicle, world=world))
 
 
 def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
     """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
-    facts, default = _known(config, flight), PlannerConfig()
-    return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
+    return _with_facts(config, _known(config, flight))
 
 
 def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
@@ -61,6 +59,12 @@ def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: So
     facts = {path: after[path] for path in _FACTS if after[path] != before[path] and config.get(path) == before[path]}
     chosen = {path: value for path, value in changes.items() if value != default.get(path)}
     return facts | {path: chosen.get(path, after[path]) for path in _FACTS if path in changes}
+
+
+def _with_facts(config: PlannerConfig, facts: Mapping[str, float]) -> PlannerConfig:
+    """Return `config` with facts in place of default values; a value that was chosen stays."""
+    default = PlannerConfig()
+    return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
 
 
 def _known(config: PlannerConfig, flight: SourceInfo) -> dict[str, float]:

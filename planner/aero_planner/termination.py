@@ -24,8 +24,6 @@ _RETRY_AFTER = 0.01
 _UNINTERRUPTED = ("weakref", "_weakrefset", "tempfile", "aero_planner.output_files")
 """Modules whose functions are not interrupted: they run while an object is finalized, or make and remove files."""
 _UNINTERRUPTED_METHODS = ("__del__", "__set_name__")
-
-
 _terminals: list[int] = []
 """Numbers of the output streams that go to a terminal."""
 

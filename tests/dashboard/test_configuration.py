@@ -51,10 +51,15 @@ class WaitingSession(Session):
         return super().configure(change)
 
 
+def uuid_of(dashboard: Dashboard, label: str) -> str:
+    """Return what messages of the page call a control."""
+    controls = dashboard.server.gui._gui_input_handle_from_uuid
+    return next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == label)
+
+
 def upload(dashboard: Dashboard, client: Connection, content: bytes) -> None:
     """Send a file as the button for it does."""
-    controls = dashboard.server.gui._gui_input_handle_from_uuid
-    button = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == "Upload YAML")
+    button = uuid_of(dashboard, "Upload YAML")
     send(
         client, type="FileTransferStartUpload", source_component_uuid=button, transfer_uuid="a",
         filename="a.yaml", mime_type="", part_count=1, size_bytes=len(content),
@@ -83,9 +88,7 @@ def test_what_is_known_about_the_flight_follows_a_parameter_that_is_changed_on_t
     session = Session(small_source(), config=config_for_flight(small_config(), small_source().info))
     session.tick()
     dashboard = Dashboard(session, port=0)
-    title = PlannerConfig.find("costs.use_ground").title
-    controls = dashboard.server.gui._gui_input_handle_from_uuid
-    box = next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == title)
+    box = uuid_of(dashboard, PlannerConfig.find("costs.use_ground").title)
     known, height = session.config, "costs.height_max"
     with join(dashboard.server) as client:
         send(client, **CAMERA)
