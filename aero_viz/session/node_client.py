@@ -176,10 +176,11 @@ class _FrameMaker:
             sweeps=Sweeps(np.array_split(points, max(int(values["sweeps"]), 1))),
             cloud_age=float(values["cloud_age"]),
         )
-        disturbance = values.get("disturbance")  # an older node does not send it
+        disturbance, continued = values.get("disturbance"), arrays.get("continued_cells")  # an older node has neither
         plan_arrays: dict[str, Any] = {name: arrays[name] for name in PLAN_ARRAYS}
         plan = Plan(
             **plan_arrays,
+            continued_cells=None if continued is None else continued != 0,
             kinds=tuple(values["kinds"]),
             best=int(values["best"]),
             status=PlanStatus(values["status"]),

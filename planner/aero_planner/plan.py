@@ -100,13 +100,16 @@ class Plan:
     fine_range: Array
     """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [80, 160] by
     default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
+    continued_cells: NDArray[np.bool_] | None
+    """True for each fine cell whose range is that of a continued surface, which was not measured, shape [80, 160], body
+    frame; see partition.continue_below. None in plans of a drone with an older version."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array
     """Direction of that fine cell, shape [10, 20, 3], body frame."""
     filtered_points: NDArray[np.float32] | list[NDArray[np.float32]]
     """Nearest point of each occupied fine cell [m], shape [F, 3], world frame; a list of B arrays with a batch. It
-    includes the continuations of surfaces, which were not measured; see partition.continue_below."""
+    includes those of `continued_cells`."""
     initial_endpoints: Array
     """Endpoints before the refinement [m], shape [M, 3], world frame."""
     anchors: Array

@@ -17,7 +17,13 @@ _PER_INSTANCE = frozenset({
     "quaternions", "stage2_cost", "goal_cost", "collision_cost", "clearance",
 })  # fmt: skip
 """Arrays with rows of the M instances and the braking candidates, of which a plan shows the instances."""
-_ARRAYS = _PER_INSTANCE | {"fine_range", "safe_range", "safe_direction", "filtered_points", "stage1_cost"}
+_ARRAYS = _PER_INSTANCE | {
+    "fine_range", "continued_cells", "safe_range", "safe_direction", "filtered_points", "stage1_cost",
+}  # fmt: skip
+_SOURCES = {"continued_cells": "occupied"}
+"""Names of the values from which arrays of another name are made."""
+_CONTINUED = 2
+"""Value of `occupied` where a surface is continued into the cell."""
 
 
 def make_plan(
@@ -96,12 +102,14 @@ class _PlanArrays:
             return self._kinds()
         if name not in _ARRAYS:
             raise AttributeError(f"a plan has no attribute {name!r}")
-        array, part, B = self._values[name], self._config.partition, self._drones
+        array, part, B = self._values[_SOURCES.get(name, name)], self._config.partition, self._drones
         if name in _PER_INSTANCE:
             array = array[:, : self._instances]
         match name:
             case "fine_range":
                 array = array.reshape(B, *fine_shape(self._config))
+            case "continued_cells":
+                array = (array == _CONTINUED).reshape(B, *fine_shape(self._config))
             case "safe_range" | "safe_direction":
                 array = array.reshape(B, part.coarse_rows, part.coarse_columns, *array.shape[2:])
             case "guide_coefficients":

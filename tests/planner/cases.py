@@ -17,7 +17,7 @@ SMALL: dict[str, Value] = {"sampling.samples": 16, "vehicle.disturbance_time": 0
 so that the differences of their accelerations from those of the last plan are no disturbances."""
 
 PLAN_ARRAYS = [
-    "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
+    "fine_range", "continued_cells", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
     "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
     "goal_cost", "collision_cost", "clearance", "disturbance",
 ]  # fmt: skip

@@ -49,6 +49,18 @@ def test_shapes_and_types(device: str):
     assert Planner(config_of("paper"), device=device).config.kinds == ("anchor",) * 15
 
 
+@pytest.mark.parametrize("depth", [0.0, 5.0])
+def test_continued_cells_are_those_whose_points_were_not_measured(device: str, depth: float):
+    case, config = random_case(0), config_of(partition__continue_below=depth, partition__continue_above=depth)
+    plan = case.plan(Planner(config, device=device))
+    assert plan.continued_cells is not None and plan.continued_cells.dtype == np.bool_
+    assert plan.continued_cells.shape == plan.fine_range.shape and plan.continued_cells.any() == (depth > 0.0)
+    is_measured = (kept_points(plan)[:, None] == case.points).all(axis=-1).any(axis=1)
+    is_occupied = plan.fine_range < config.farthest_range
+    np.testing.assert_array_equal(plan.continued_cells[is_occupied], ~is_measured)
+    assert not plan.continued_cells[~is_occupied].any()
+
+
 def test_open_space_leads_to_the_goal(device: str):
     case = random_case(0, count=0)
     plan = case.plan(Planner(config_of(), device=device))

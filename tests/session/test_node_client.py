@@ -15,8 +15,8 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_planner.onboard.interfaces import PlanRecord
 from aero_planner.onboard.settings import OnboardConfig
-from aero_planner.onboard.telemetry import Telemetry
-from aero_planner.onboard.telemetry_protocol import Kind, encode
+from aero_planner.onboard.telemetry import Telemetry, encode_plan
+from aero_planner.onboard.telemetry_protocol import Kind, MessageReader, encode
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame
 from aero_viz.session.node_client import NodeClient
@@ -38,6 +38,7 @@ def test_frames_hold_the_drones_plans(telemetry: Telemetry, records: list[PlanRe
         assert frame.index == record.number and frame.config == SMALL
         np.testing.assert_array_equal(frame.plan.positions, record.plan.positions)
         np.testing.assert_array_equal(frame.plan.command, record.plan.command)
+        np.testing.assert_array_equal(frame.plan.continued_cells, record.plan.continued_cells)
         np.testing.assert_array_equal(frame.plan.disturbance, record.plan.disturbance)
         assert frame.plan.drag == record.plan.drag
         assert frame.plan.status is record.plan.status and frame.plan.kinds == record.plan.kinds
@@ -49,6 +50,21 @@ def test_frames_hold_the_drones_plans(telemetry: Telemetry, records: list[PlanRe
     assert len(frames[3].trail) == 4 and not frames[3].trail.flags.writeable
     assert frames[-1].rate == pytest.approx(7 / frames[-1].time)
     assert frames[0].source is frames[-1].source and frames[0].source.period == 0.04
+
+
+def test_a_plan_of_an_older_node_says_nothing_of_continued_cells(records: list[PlanRecord]):
+    (plan,) = MessageReader().feed(encode_plan(records[0], points_max=100))
+    arrays = {name: array for name, array in plan.arrays.items() if name != "continued_cells"}
+    hello = encode(Kind.HELLO, {"planner": SMALL.to_dict(), "onboard": OnboardConfig().to_dict()})
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        answer = hello + encode(Kind.PLAN, plan.values, arrays)
+        thread = threading.Thread(target=lambda: server.accept()[0].sendall(answer))
+        thread.start()
+        with closing(NodeClient("127.0.0.1", server.getsockname()[1])) as client:
+            frame = next(iter(client))
+        thread.join()
+    assert isinstance(frame, Frame) and frame.plan.continued_cells is None
+    np.testing.assert_array_equal(frame.plan.fine_range, records[0].plan.fine_range)
 
 
 _LOST_LINK = """

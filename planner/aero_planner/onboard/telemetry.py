@@ -262,6 +262,8 @@ def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
     arrays: dict[str, Any] = {name: getattr(plan, name) for name in PLAN_ARRAYS}
     arrays |= _state_arrays("measured", state) | _state_arrays("state", record.state)
     arrays |= {"goal": record.goal, "points": offsets.astype(np.int16)}
+    if plan.continued_cells is not None:
+        arrays["continued_cells"] = plan.continued_cells.astype(np.uint8)
     values = {
         "number": record.number,
         "time": record.time,

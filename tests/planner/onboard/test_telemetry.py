@@ -86,6 +86,7 @@ def test_a_viewer_gets_the_configuration_and_then_plans(serve, clock: Clock, rec
     message = viewer.read_plan()
     for name in PLAN_ARRAYS:
         np.testing.assert_array_equal(message.arrays[name], getattr(record.plan, name))
+    np.testing.assert_array_equal(message.arrays["continued_cells"] != 0, record.plan.continued_cells)
     assert tuple(message.values["kinds"]) == record.plan.kinds
     assert message.values["best"] == record.plan.best and message.values["safety"] == record.safety.name
     position = np.asarray(record.measured.position)
