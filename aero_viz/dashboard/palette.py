@@ -7,7 +7,8 @@ Each layer has its own hue, in the scene, in the legend and in the status panel:
     endpoints  grey before the refinement, cyan after         goal       rose
     selection  magenta
     drone      white with an orange nose, orange trail        recording  violet
-    cells      NEAR_TO_FAR by range                       directions VIRIDIS by free range
+    cells      NEAR_TO_FAR by range where measured        directions VIRIDIS by free range
+               pale lilac where continued, brown where unseen
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ RECORDED: Rgb = (178, 131, 227)
 RECORDED_PLAN: Rgb = (206, 160, 250)
 SELECTED: Rgb = (255, 70, 255)
 MOVING: Rgb = (255, 128, 72)
+CONTINUED: Rgb = (208, 196, 232)
 UNSEEN: Rgb = (196, 120, 92)
 
 GOOD: Rgb = (52, 211, 123)

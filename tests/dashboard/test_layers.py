@@ -123,21 +123,51 @@ def test_fine_cells_lie_where_the_filtered_points_are(server, frame):
     np.testing.assert_allclose(np.sort(reach), np.sort(nearest), atol=1e-3)
 
 
-def test_unseen_cells_are_the_empty_ones_outside_the_field_of_view(server, frame):
-    def elevations_shown(view_min: float, view_max: float) -> NDArray[np.float64]:
-        config = frame.config.replace({"partition.view_min": view_min, "partition.view_max": view_max})
-        seen = dataclasses.replace(frame, config=config)
-        layer = UnseenCellLayer(server)
-        changes = {name: value for _, name, value in layer.update(seen)}
-        shown = changes["batched_scales"].max(axis=1) > 0.0
-        assert not (shown & (frame.plan.fine_range.ravel() < config.farthest_range - 1e-4)).any()
-        assert bool(layer.legend(seen)) == bool(shown.any())
-        return np.degrees(np.arcsin(changes["batched_positions"][shown, 2] / 2.0))
+def test_continued_cells_have_a_colour_of_their_own_where_the_plan_names_them(server, frame):
+    def colors_and_legend(plan: Plan) -> tuple[NDArray[np.uint8], list[str]]:
+        layer, shown = FineCellLayer(server), dataclasses.replace(frame, plan=plan)
+        changes = {name: value for _, name, value in layer.update(shown)}
+        return changes["batched_colors"], [entry.label for entry in layer.legend(shown)]
 
-    elevations = elevations_shown(-7.0, 52.0)
-    assert elevations.max() > 80.0 and not ((elevations > -7.0) & (elevations < 52.0)).any()
-    assert len(elevations_shown(-90.0, 52.0)) == (elevations > 0.0).sum()
-    assert len(elevations_shown(-90.0, 90.0)) == 0
+    continued = frame.plan.continued_cells.ravel()
+    assert 100 < continued.sum() < len(frame.plan.filtered_points)
+    colors, labels = colors_and_legend(frame.plan)
+    unnamed, label = colors_and_legend(dataclasses.replace(frame.plan, continued_cells=None))
+    assert (colors[continued] == palette.lit(palette.CONTINUED)).all()
+    np.testing.assert_array_equal(colors[~continued], unnamed[~continued])
+    np.testing.assert_array_equal(
+        unnamed, palette.colorize(frame.plan.fine_range.ravel(), 0.0, 10.0, palette.lit(palette.NEAR_TO_FAR))
+    )
+    assert [label.split(":")[0] for label in labels] == ["occupied, measured", "occupied, continued"]
+    assert label == ["occupied cells, with continued surfaces: range"]
+
+
+@pytest.mark.parametrize(("view_min", "view_max"), [(-7.0, 52.0), (-90.0, 52.0), (-90.0, 90.0)])
+@pytest.mark.parametrize("is_named", [True, False], ids=["continued cells named", "not named"])
+def test_unseen_cells_are_continued_or_empty_outside_the_field_of_view(server, frame, view_min, view_max, is_named):
+    config = frame.config.replace({"partition.view_min": view_min, "partition.view_max": view_max})
+    plan = frame.plan if is_named else dataclasses.replace(frame.plan, continued_cells=None)
+    seen, layer = dataclasses.replace(frame, config=config, plan=plan), UnseenCellLayer(server)
+    changes = {name: value for _, name, value in layer.update(seen)}
+    elevation = np.degrees(np.arcsin(changes["batched_positions"][:, 2] / 2.0))
+    is_empty = plan.fine_range.ravel() > config.farthest_range - 1e-4
+    empty = is_empty & ((elevation < view_min) | (elevation > view_max))
+    continued = plan.continued_cells.ravel() if is_named else np.zeros_like(empty)
+    np.testing.assert_array_equal(changes["batched_scales"].max(axis=1) > 0.0, empty | continued)
+    assert (changes["batched_colors"][empty] == palette.unmapped(palette.UNSEEN)).all()
+    assert (changes["batched_colors"][continued] == palette.unmapped(palette.CONTINUED)).all()
+    colors = [palette.UNSEEN] * bool(empty.any()) + [palette.CONTINUED] * bool(continued.any())
+    assert [key.color for key in layer.legend(seen)] == colors
+
+
+def test_unseen_cells_are_free_down_to_ground_of_known_height(server, frame):
+    layer = UnseenCellLayer(server)
+    unknown = dataclasses.replace(frame, observation=dataclasses.replace(frame.observation, ground_height=None))
+    ignored = dataclasses.replace(frame, config=frame.config.replace({"costs.use_ground": False}))
+    assert frame.observation.ground_height == 0.0
+    assert [layer.legend(each)[0].label.endswith("above the ground") for each in (frame, unknown, ignored)] == [
+        True, False, False,
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("by", ["rank", "log cost"])

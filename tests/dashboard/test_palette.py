@@ -38,6 +38,13 @@ def test_layers_differ_in_colour():
     assert apart[~np.eye(len(colors), dtype=bool)].min() > 35
 
 
+def test_cells_that_were_not_measured_differ_in_colour_from_each_other_and_from_measured_ones():
+    cells = np.array([palette.CONTINUED, palette.UNSEEN], dtype=float)
+    apart = np.abs(cells[:, None] - cells[None]).max(axis=-1)
+    assert apart[~np.eye(2, dtype=bool)].min() > 90
+    assert np.abs(palette.NEAR_TO_FAR.astype(float) - palette.CONTINUED).max(axis=-1).min() > 90
+
+
 @pytest.mark.parametrize("table", [palette.VIRIDIS, palette.PLASMA], ids=["viridis", "plasma"])
 def test_sequential_maps_rise_in_lightness(table):
     lightness = table @ (0.2126, 0.7152, 0.0722)

@@ -1,13 +1,12 @@
-"""The spherical partition: occupied and unseen fine cells, and coarse cells with their safe directions."""
+"""The spherical partition: measured, continued and unseen fine cells, and coarse cells with their safe directions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan
 from aero_planner.quaternions import rotation_matrix
@@ -19,8 +18,10 @@ _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, 
 _BORDER = palette.unmapped(palette.GRID_SECTION)
 _ANCHOR = palette.unmapped(palette.ANCHOR)
 _UNSEEN = palette.unmapped(palette.UNSEEN)
+_CONTINUED = palette.unmapped(palette.CONTINUED)
 _FREE = palette.unmapped(palette.VIRIDIS)
 _RANGE = palette.lit(palette.NEAR_TO_FAR)
+_CONTINUED_LIT = palette.lit(palette.CONTINUED)
 _SPHERE = 2.0
 """Radius at which coarse and unseen cells are drawn [m]."""
 
@@ -65,47 +66,53 @@ class CellPatches:
 
 
 class FineCellLayer(Layer):
-    """A patch at the range of every occupied fine cell, coloured by range. Red is near.
+    """A patch at the range of every occupied fine cell. Measured ones are coloured by range; red is near.
 
-    Cells outside the field of view into which a surface is continued count as occupied, as they do in the plan.
+    Continued ones have a colour of their own: a surface goes on there past the field of view, as the plan assumes.
     """
 
     name, title, on_by_default = "fine_cells", "Occupied cells", False
+    keys = (ColorKey("occupied, continued: not measured", palette.CONTINUED),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._patches = CellPatches(scene, "/fine_cells", opacity=0.85)
 
     def update(self, frame: Frame) -> list[Change]:
         ranges, reach = frame.plan.fine_range.reshape(-1, 1), frame.config.farthest_range
-        return [
-            *self._patches.show(frame, ranges, is_occupied(frame)),
-            (self._patches.node, "batched_colors", palette.colorize(ranges[:, 0], 0.0, reach, _RANGE)),
-        ]
+        colors = palette.colorize(ranges[:, 0], 0.0, reach, _RANGE)
+        colors[is_continued(frame)[:, 0]] = _CONTINUED_LIT
+        return [*self._patches.show(frame, ranges, is_occupied(frame)), (self._patches.node, "batched_colors", colors)]
 
-    def legend(self, frame: Frame) -> list[ColorScale]:
-        reach = f"{frame.config.farthest_range:g} m"
-        return [ColorScale("occupied cells, with continued surfaces: range", "0 m", reach, palette.NEAR_TO_FAR)]
+    def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
+        is_known = frame.plan.continued_cells is not None
+        label = "occupied, measured: range" if is_known else "occupied cells, with continued surfaces: range"
+        scale = ColorScale(label, "0 m", f"{frame.config.farthest_range:g} m", palette.NEAR_TO_FAR)
+        return [scale, *self.keys] if is_continued(frame).any() else [scale]
 
 
 class UnseenCellLayer(Layer):
-    """Fine cells outside the field of view into which no surface is continued, on a sphere of 2 m.
+    """Continued fine cells, and empty ones outside the field of view, on a sphere of 2 m.
 
-    The sensor does not see them now. Older sweeps may have; where they show nothing, the planner assumes free space.
+    The sensor does not see the empty ones now; older sweeps show nothing there. The planner assumes that they are free,
+    and continued ones up to the continued surface. Ground of known height is an obstacle in all of them.
     """
 
     name, title, on_by_default = "unseen_cells", "Unseen cells", False
-    keys = (ColorKey("unseen cells, assumed free", palette.UNSEEN),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._patches = CellPatches(scene, "/unseen_cells", opacity=0.35)
+        self._patches = CellPatches(scene, "/unseen_cells", opacity=0.5)
 
     def update(self, frame: Frame) -> list[Change]:
-        unseen = ~is_in_view(frame) & ~is_occupied(frame)
+        unseen = is_unseen(frame)
         changes = self._patches.show(frame, np.full(unseen.shape, _SPHERE), unseen)
-        return [*changes, (self._patches.node, "batched_colors", np.full((len(unseen), 3), _UNSEEN, np.uint8))]
+        return [*changes, (self._patches.node, "batched_colors", np.where(is_continued(frame), _CONTINUED, _UNSEEN))]
 
-    def legend(self, frame: Frame) -> Sequence[ColorKey]:
-        return () if is_in_view(frame).all() else self.keys
+    def legend(self, frame: Frame) -> list[ColorKey]:
+        unseen, continued = is_unseen(frame), is_continued(frame)
+        above = " above the ground" if is_ground_known(frame) else ""
+        empty = ColorKey(f"unseen, empty: assumed free{above}", palette.UNSEEN)
+        near = ColorKey("unseen, continued: assumed free up to the surface", palette.CONTINUED)
+        return [empty] * bool((unseen & ~continued).any()) + [near] * bool((unseen & continued).any())
 
 
 class CoarseCellLayer(Layer):
@@ -158,16 +165,46 @@ def anchor_cells(frame: Frame) -> NDArray[np.int64]:
     rows, columns = frame.plan.safe_range.shape
     state = frame.observation.state
     offset = frame.plan.initial_endpoints[: frame.config.anchor_count] - np.asarray(state.position)
-    x, y, z = (np.asarray(offset, dtype=np.float64) @ rotation_matrix(state.quaternion)).T  # R^T d, as rows
+    return np.unique(cells_of(np.asarray(offset, dtype=np.float64), state.quaternion, (rows, columns)))
+
+
+def cells_of(directions: NDArray[np.float64], quaternion: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Return the cells, counted row by row, that hold directions, shape [n, 3], world frame.
+
+    Args:
+        directions: the directions, of any length.
+        quaternion: attitude of the drone, body to world, w x y z.
+        shape: rows and columns of the cells.
+    """
+    rows, columns = shape
+    x, y, z = (directions @ rotation_matrix(quaternion)).T  # R^T d, as rows
     row = (np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5) * rows
     column = (np.arctan2(y, x) / (2.0 * np.pi) + 0.5) * columns
-    row, column = np.clip(row.astype(int), 0, rows - 1), column.astype(int) % columns
-    return np.unique(row * columns + column)
+    return np.clip(row.astype(int), 0, rows - 1) * columns + column.astype(int) % columns
 
 
 def is_occupied(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells with a point or a continued surface, row by row, shape [rows * columns, 1]."""
     return frame.plan.fine_range.reshape(-1, 1) < frame.config.farthest_range - 1e-4
+
+
+def is_continued(frame: Frame) -> NDArray[np.bool_]:
+    """Return True for fine cells into which a surface is continued, row by row, shape [rows * columns, 1].
+
+    False for all of them where the plan does not say so.
+    """
+    continued = frame.plan.continued_cells
+    return np.zeros((frame.plan.fine_range.size, 1), np.bool_) if continued is None else continued.reshape(-1, 1)
+
+
+def is_unseen(frame: Frame) -> NDArray[np.bool_]:
+    """Return True for fine cells that are continued, or empty and out of view, row by row, [rows * columns, 1]."""
+    return is_continued(frame) | (~is_in_view(frame) & ~is_occupied(frame))
+
+
+def is_ground_known(frame: Frame) -> bool:
+    """Return True if the planner takes the ground for an obstacle."""
+    return frame.config.costs.use_ground and frame.observation.ground_height is not None
 
 
 def is_in_view(frame: Frame) -> NDArray[np.bool_]:
