@@ -147,6 +147,7 @@ LEGENDS = [
     ("cloud", ["cloud: height"]),
     ("fine_cells", ["occupied, measured"]),
     ("unseen_cells", ["unseen, empty"]),
+    ("hidden_space", ["hidden: no proven stop", "not seen: assumed free"]),
     ("coarse_cells", ["coarse cells", "safe directions"]),
     ("drone", ["drone"]),
     ("trail", ["flown trail"]),

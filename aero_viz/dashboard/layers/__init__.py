@@ -24,6 +24,7 @@ from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
+from aero_viz.dashboard.layers.sight import HiddenSpaceLayer
 
 __all__ = [
     "LAYERS",
@@ -48,6 +49,7 @@ LAYERS: tuple[type[Layer], ...] = (
     CloudLayer,
     FineCellLayer,
     UnseenCellLayer,
+    HiddenSpaceLayer,
     CoarseCellLayer,
     MotionLayer,
     DroneLayer,
