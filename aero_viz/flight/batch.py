@@ -14,6 +14,7 @@ from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
+from aero_viz.flight.memory import SWEEPS, WHOLE_SWEEPS, remembered_sweeps
 from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
@@ -24,11 +25,6 @@ from aero_viz.sensors.lidar import LIDARS, LidarModel
 
 wp.set_module_options({"enable_backward": False})
 
-SWEEPS = 30
-"""Number of sweeps in the cloud of the planner, three seconds of a Mid-360: long enough to remember obstacles that have
-left its view."""
-WHOLE_SWEEPS = 10
-"""Number of newest sweeps of which the cloud has all points; of older sweeps it has one point in five."""
 BatchProgress = Callable[[int, int, float], None]
 """Called with the number of finished flights, the number of all flights, and the simulated time [s]."""
 _TIMED_PLANS = 5
@@ -138,7 +134,11 @@ class FlightBatch:
         self.simulator = Simulator(
             worlds, lidar=lidar, vehicle=vehicle, rules=rules, seeds=self._seeds, device=device, noise=noise
         )
-        self.planner.reserve_sweeps(SWEEPS, SWEEPS * self.simulator.lidar.model.points_per_sweep, whole=WHOLE_SWEEPS)
+        remembered = [remembered_sweeps(c.memory, lidar) for c in configs]
+        self._rows = max(remembered)
+        """Number of sweeps in the planner's memory."""
+        points = self._rows * self.simulator.lidar.model.points_per_sweep
+        self.planner.reserve_sweeps(self._rows, points, whole=WHOLE_SWEEPS, remembered=remembered)
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
         self._observe()
@@ -175,7 +175,7 @@ class FlightBatch:
         """Store a complete sweep in the cloud, and tell the planner how old the cloud is if sweeps are lost."""
         lidar = self.simulator.lidar
         self._observe()
-        self.planner.store_sweep(sweep % SWEEPS, lidar.points, time=lidar.model.sweep_end(sweep))
+        self.planner.store_sweep(sweep % self._rows, lidar.points, time=lidar.model.sweep_end(sweep))
         if lidar.model.sweep_loss > 0.0:
             self._lost_sweeps = np.where(lidar.loses(sweep), self._lost_sweeps + 1, 0)
             self.planner.inputs.cloud_age.assign((self._lost_sweeps / lidar.model.sweep_rate).astype(np.float32))

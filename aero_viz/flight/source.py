@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Arrival, Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
-from aero_viz.flight.batch import SWEEPS, WHOLE_SWEEPS
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
 from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.flight_settings import FlightSettings
+from aero_viz.flight.memory import DEFAULT_MEMORY, MOST_SWEEPS, SWEEPS, WHOLE_SWEEPS, remembered_sweeps
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Setting, Simulator
@@ -117,7 +117,7 @@ class FlightSource:
         self._parts: list[Cloud] = []
         self._read_state()
         size = self.simulator.lidar.model.points_per_sweep
-        # Before the start, the drone has hovered for as long as the cloud of the planner reaches back.
+        # Before the start, the drone has hovered.
         scans = [Scan(sweep, 0, size, self._pose, self._pose, self._setting) for sweep in range(-SWEEPS, 0)]
         self._set_sweeps(tuple(Sweep((scan,), None) for scan in scans))
 
@@ -127,19 +127,21 @@ class FlightSource:
         return None if self.outcome is None else self.result().explanation
 
     def observe(self) -> Observation:
-        """Return the estimated state, the last 30 complete sweeps, the goal, and the true state."""
+        """Return the estimated state, the last complete sweeps, the goal, and the true state."""
         if self._observation is None:
+            sweeps, times = self._recall(DEFAULT_MEMORY)
             self._observation = Observation(
                 time=self.simulator.time,
                 state=self._state,
                 goal=Goal(self._goal),
-                sweeps=self._cloud,
+                sweeps=sweeps,
                 cloud_age=self._cloud_age,
                 ground_height=self._setting.world.ground_height,
                 true_state=self._true_state,
-                sweep_times=self._sweep_times,
+                sweep_times=times,
                 world=self._setting.world,
                 conditions=live_conditions(self._setting),
+                recall=self._recall,
             )
         return self._observation
 
@@ -159,7 +161,7 @@ class FlightSource:
                 complete = Sweep(self._scans, join_returns(self._parts))
                 self._scans, self._parts = (), []
                 self._cache.add(complete)
-                self._set_sweeps((*self._sweeps[1:], complete))
+                self._set_sweeps((*self._sweeps, complete)[-MOST_SWEEPS:])
 
     def checkpoint(self) -> object:
         """Return the state that `restore` needs: about a kilobyte, whatever the size of the cloud."""
@@ -170,8 +172,8 @@ class FlightSource:
     def restore(self, checkpoint: object) -> None:
         """Continue from a checkpoint of this source or its twin. The same plans then give the same flight, bit for bit.
 
-        This takes a few milliseconds if the sweeps are cached, see `SweepCache`, and otherwise as long as measuring
-        30 sweeps.
+        This takes a few milliseconds if the sweeps are cached, see `SweepCache`; otherwise the next observation
+        measures those that it needs.
 
         Raises:
             TypeError: the object is not a checkpoint of a flight.
@@ -340,19 +342,27 @@ class FlightSource:
         return self._new_points(scan.first, scan.end)
 
     def _set_sweeps(self, sweeps: tuple[Sweep, ...]) -> None:
-        """Make the cloud of these sweeps, oldest first."""
+        """Go on from these sweeps, oldest first."""
         self._sweeps = sweeps
-        lidar = self.simulator.lidar.model
-        self._sweep_times = np.array([lidar.sweep_end(sweep.scans[-1].sweep) for sweep in sweeps])
-        arrivals = (
-            Arrival(time, tuple(sweep.scans[-1].after[1, :3].tolist()))
-            for time, sweep in zip(self._sweep_times.tolist(), sweeps, strict=True)
-        )
-        points = (self._cache.points(sweep) for sweep in sweeps)
-        self._cloud = Sweeps(points, whole=WHOLE_SWEEPS, arrivals=arrivals)
+        self._clouds: dict[int, tuple[Sweeps, NDArray[np.float64]]] = {}
         lost_in_row = next((i for i, sweep in enumerate(reversed(sweeps)) if not self._is_lost(sweep)), len(sweeps))
         self._cloud_age = lost_in_row / self.simulator.lidar.model.sweep_rate
         self._observation = None
+
+    def _recall(self, memory: float) -> tuple[Sweeps, NDArray[np.float64]]:
+        """Return the sweeps of the last `memory` seconds and their times [s], the same objects until the next one."""
+        lidar = self.simulator.lidar.model
+        count = min(remembered_sweeps(memory, lidar), len(self._sweeps))
+        if count not in self._clouds:
+            sweeps = self._sweeps[-count:]
+            times = np.array([lidar.sweep_end(sweep.scans[-1].sweep) for sweep in sweeps])
+            arrivals = (
+                Arrival(time, tuple(sweep.scans[-1].after[1, :3].tolist()))
+                for time, sweep in zip(times.tolist(), sweeps, strict=True)
+            )
+            self._clouds[count] = Sweeps(self._cache.points(sweeps), whole=WHOLE_SWEEPS, arrivals=arrivals), times
+            self._use(self._setting)
+        return self._clouds[count]
 
     def _is_lost(self, sweep: Sweep) -> bool:
         return all(is_sweep_lost(self._seed, scan.sweep, scan.setting.lidar.sweep_loss) for scan in sweep.scans)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.flight.batch import SWEEPS
+from aero_viz.flight.memory import SWEEPS
 from aero_viz.flight.simulator import Setting
 
 Cloud = NDArray[np.float32]
@@ -55,11 +55,17 @@ class SweepCache:
         self._measure = measure
         self._sweeps: deque[Sweep] = deque()
         self._bytes = 0
+        self._fewest = SWEEPS
+        """Number of sweeps that stay cached whatever their size."""
         self._adopted: dict[int, tuple[Sweep, Sweep]] = {}
         """Sweeps of another source by their id, each with its copy."""
 
-    def points(self, sweep: Sweep) -> Cloud:
-        """Return the points of a sweep, and cache them."""
+    def points(self, sweeps: tuple[Sweep, ...]) -> list[Cloud]:
+        """Return the points of each sweep, and cache them."""
+        self._fewest = max(SWEEPS, len(sweeps))
+        return [self._points(sweep) for sweep in sweeps]
+
+    def _points(self, sweep: Sweep) -> Cloud:
         if sweep.points is None:
             sweep.points = join_returns([self._measure(scan) for scan in sweep.scans])
             self.add(sweep)
@@ -70,7 +76,7 @@ class SweepCache:
         assert sweep.points is not None
         self._sweeps.append(sweep)
         self._bytes += sweep.points.nbytes
-        while self._bytes > CACHED_BYTES and len(self._sweeps) > SWEEPS:
+        while self._bytes > CACHED_BYTES and len(self._sweeps) > self._fewest:
             oldest = self._sweeps.popleft()
             assert oldest.points is not None
             self._bytes -= oldest.points.nbytes

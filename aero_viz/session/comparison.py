@@ -189,12 +189,12 @@ class Comparison:
     def _fly(self, flight: _Flight) -> None:
         """Fly A for a few ticks with the session's source, which then returns to where it was."""
         source, shown = self._engine.source, self._engine.frame
-        assert shown is not None
+        assert shown is not None and self.pinned is not None
         before = source.checkpoint()
         try:
             source.restore(flight.checkpoint)
             for _ in range(_TICKS_PER_TURN):
-                observation = source.observe()
+                observation = source.observe().remembered(self.pinned)
                 frame = dataclasses.replace(
                     shown, time=observation.time, observation=observation, outcome=source.outcome,
                     explanation=source.explanation,

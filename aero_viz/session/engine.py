@@ -194,7 +194,7 @@ class Engine:
         is_new = history is None
         config, version = self._configs.current
         started = time.perf_counter()
-        observation = self.source.observe()
+        observation = self.source.observe().remembered(config)
         observed = time.perf_counter()
         if config is not self._config:
             self._configure(config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -13,7 +14,7 @@ from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
 from aero_viz.reader_process import Reader, read_here
 
 if TYPE_CHECKING:
-    from aero_planner import Planner
+    from aero_planner import Planner, PlannerConfig
     from aero_viz.scenes import World
 
 
@@ -41,6 +42,17 @@ class Observation:
     """World at this tick, where it can change; None where it is that of the source."""
     conditions: Mapping[str, Any] | None = None
     """Wind, noise and faults at this tick by path, such as "drone.gust_speed", where they can change."""
+
+    recall: Callable[[float], tuple[Sweeps, NDArray[np.float64]]] | None = None
+    """Returns the sweeps of the last seconds before this tick and their times, as long as the source stays there; None
+    where all that are known are in `sweeps`."""
+
+    def remembered(self, config: PlannerConfig) -> Observation:
+        """Return this observation with the sweeps that the configuration remembers, see `PlannerConfig.memory`."""
+        if self.recall is None:
+            return self
+        sweeps, times = self.recall(config.memory)
+        return dataclasses.replace(self, sweeps=sweeps, sweep_times=times, recall=None)
 
     @property
     def points(self) -> NDArray[np.float32]:

@@ -229,12 +229,15 @@ class Planner:
         self._inputs.upload()
         self._scan(self._cloud.arrays)
 
-    def reserve_sweeps(self, sweeps: int, points: int, *, whole: int | None = None) -> None:
+    def reserve_sweeps(
+        self, sweeps: int, points: int, *, whole: int | None = None, remembered: Sequence[int] | None = None
+    ) -> None:
         """Make room for sweeps with `points` points per drone in all, and plan from them. There are none yet.
 
-        Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`.
+        Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`. Each drone
+        forgets those before its newest `remembered` ones; None forgets none.
         """
-        self._memory = SweepMemory(self._motion, sweeps=sweeps, points=points, whole=whole)
+        self._memory = SweepMemory(self._motion, sweeps=sweeps, points=points, whole=whole, remembered=remembered)
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:

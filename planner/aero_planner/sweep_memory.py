@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,13 +76,22 @@ class SweepMemory:
         sweeps: S, largest number of sweeps.
         points: P, room for the points of all sweeps of a drone.
         whole: number of newest sweeps that `store` keeps whole, as in `Sweeps`; None keeps all.
+        remembered: number of newest sweeps that `store` keeps for each drone; None keeps all.
 
     Attributes:
         arrays: the sweeps on the device.
         change: how they change, on the device.
     """
 
-    def __init__(self, motion: Motion, *, sweeps: int, points: int, whole: int | None = None) -> None:
+    def __init__(
+        self,
+        motion: Motion,
+        *,
+        sweeps: int,
+        points: int,
+        whole: int | None = None,
+        remembered: Sequence[int] | None = None,
+    ) -> None:
         device = wp.get_device(str(motion.params.device))
         self._device = device
         self._motion = motion
@@ -98,6 +108,8 @@ class SweepMemory:
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
         self._whole = whole
+        self._forgetful = np.flatnonzero(np.array([] if remembered is None else remembered) < sweeps)  # drones
+        self._remembered = np.array([] if remembered is None else remembered, dtype=np.int64)[self._forgetful]
         self._thinned: set[int] = set()  # rows
         self._unordered: list[int] = []  # rows that the device orders, which the table on the host does not mention yet
         self._is_change_due = False
@@ -238,6 +250,7 @@ class SweepMemory:
         self._open_table()
         host = self._table.host()
         host["count"][:, row], host["start"][row] = size, start
+        host["count"][self._forgetful, (row - self._remembered) % S] = 0
         number, whole = self._next_number, self._whole or S
         self._next_number += 1
         recent = [(row - age) % S for age in range(min(int(RECENT), whole))]

@@ -93,6 +93,7 @@ def test_restored_flight_continues_bit_for_bit(source, planner, ticks):
 def test_points_that_are_not_cached_are_measured_again_bit_for_bit(planner, monkeypatch, ticks, noise):
     for module in ("source", "sweep_cache"):
         monkeypatch.setattr(f"aero_viz.flight.{module}.SWEEPS", 10)
+    monkeypatch.setattr("aero_viz.flight.source.DEFAULT_MEMORY", 1.0)
     monkeypatch.setattr("aero_viz.flight.sweep_cache.CACHED_BYTES", 0)  # only the last ten sweeps
     mounted = LidarModel(
         "mounted", points_per_sweep=2000, mount_position=(0.1, 0.0, 0.05), mount_angles=(0.0, 20.0, 0.0)

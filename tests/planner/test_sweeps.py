@@ -141,7 +141,8 @@ def test_a_sweep_of_another_shape_or_type_is_refused(points: np.ndarray):
         Sweeps([points])
 
 
-def test_a_batch_stores_sweeps_on_the_device(device: str):
+@pytest.mark.parametrize("remembered", [None, [3, 2]])
+def test_a_batch_stores_sweeps_on_the_device(device: str, remembered: list[int] | None):
     rng = np.random.default_rng(3)
     cases = [random_case(seed) for seed in (1, 2)]
     state, goal, _ = batch_of(cases)
@@ -149,11 +150,13 @@ def test_a_batch_stores_sweeps_on_the_device(device: str):
     joined.plan(state, goal, [case.points for case in cases])
     stored.plan(state, goal, [case.points for case in cases])
     places = np.full((3, 2, 200, 3), np.nan, np.float32)
-    stored.reserve_sweeps(3, 600)
+    stored.reserve_sweeps(3, 600, remembered=remembered)
     for tick in range(5):
         places[tick % 3] = [random_sweep(rng, case.position, 200) for case in cases]
         stored.store_sweep(tick % 3, wp.array(places[tick % 3], dtype=wp.vec3, device=device))
         stored.launch()
+        if remembered is not None:
+            places[(tick - 2) % 3, 1] = np.nan  # the second drone's oldest sweep
         plan = joined.plan(state, goal, list(np.concatenate(places, axis=1)))
         np.testing.assert_array_equal(stored.outputs.fine_range.numpy(), plan.fine_range.reshape(2, -1))
         np.testing.assert_array_equal(stored.command.numpy(), plan.command)

@@ -17,7 +17,7 @@ from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
 from aero_planner.config.sections.costs import CostConfig
 from aero_planner.config.sections.escape import EscapeConfig
-from aero_planner.config.sections.partition import PartitionConfig
+from aero_planner.config.sections.partition import LONGEST_MEMORY, PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
 from aero_planner.config.sections.vehicle import VehicleConfig
 
@@ -83,6 +83,12 @@ class PlannerConfig(SectionedConfig):
     def farthest_range(self) -> float:
         """Range beyond which points are ignored, which grows with the speed limit [m]."""
         return max(self.partition.range_max, self.partition.range_time * self.vehicle.speed_limit)
+
+    @property
+    def memory(self) -> float:
+        """Time for which a simulated flight remembers sweeps, which is longer at a low speed limit [s]."""
+        flown = min(self.partition.memory_distance / self.vehicle.speed_limit, LONGEST_MEMORY)
+        return max(self.partition.memory_time, flown)
 
     @property
     def forgets_wakes(self) -> bool:

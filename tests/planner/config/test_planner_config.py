@@ -196,3 +196,10 @@ def test_paper_preset_is_the_paper():
     # The options that bound the look-ahead never bind.
     assert paper.anchors.lookahead_rest >= paper.anchors.lookahead
     assert 0.6 * paper.horizon * paper.vehicle.speed_limit > paper.anchors.lookahead
+
+
+@pytest.mark.parametrize(("limit", "memory"), [(7.0, 3.0), (3.0, 3.0), (2.0, 4.5), (1.0, 9.0), (0.5, 12.0)])
+def test_a_slow_drone_remembers_for_longer(limit: float, memory: float):
+    config = PlannerConfig().replace({"vehicle.speed_limit": limit})
+    assert config.memory == memory
+    assert config.replace({"partition.memory_distance": 0.0}).memory == 3.0

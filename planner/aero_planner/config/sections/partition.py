@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from aero_planner.config.parameter import ParameterSection, live, structural, switch
 
+LONGEST_MEMORY = 12.0
+"""Largest time for which sweeps are remembered [s]."""
+
 
 @dataclass(frozen=True)
 class PartitionConfig(ParameterSection, section="partition"):
@@ -33,6 +36,16 @@ class PartitionConfig(ParameterSection, section="partition"):
     cloud_age_max: float = live(
         0.5, "s", 0.05, 10.0, "Age of the cloud above which the drone brakes, if the caller states the age.",
         label="Maximum cloud age",
+    )  # fmt: skip
+    memory_time: float = live(
+        3.0, "s", 0.1, LONGEST_MEMORY, "Sweeps of a simulated flight that are older than this are forgotten. Of those "
+        "before the newest ten, one point in five is kept. The onboard node has lidar.older_sweeps instead.",
+        label="Memory",
+    )  # fmt: skip
+    memory_distance: float = live(
+        9.0, "m", 0.0, 100.0, "A slow drone remembers for longer, since what leaves its field of view stays near: for "
+        "the time in which it flies this distance at its speed limit, at most 12 s.",
+        label="Memory of a slow drone",
     )  # fmt: skip
     view_min: float = live(
         -7.0, "deg", -90.0, 90.0, "Lowest elevation that the sensor sees, body frame. What lies below is unknown.",

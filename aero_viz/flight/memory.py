@@ -1,0 +1,24 @@
+"""Which sweeps the cloud of a flight remembers."""
+
+from __future__ import annotations
+
+import math
+
+from aero_planner import PlannerConfig
+from aero_viz.sensors.lidar import LidarModel
+
+SWEEPS = 30
+"""Number of sweeps that were measured before the start, three seconds of a Mid-360."""
+WHOLE_SWEEPS = 10
+"""Number of newest sweeps of which the cloud has all points; of older sweeps it has one point in five."""
+MOST_SWEEPS = 120
+"""Largest number of sweeps in the cloud."""
+
+
+def remembered_sweeps(memory: float, lidar: LidarModel) -> int:
+    """Return how many sweeps are newer than `memory` [s] when one is complete, see `PlannerConfig.memory`."""
+    return min(max(math.ceil(memory * lidar.sweep_rate - 1e-3), 1), MOST_SWEEPS)
+
+
+DEFAULT_MEMORY = PlannerConfig().memory
+"""Memory of the default configuration [s]."""
