@@ -283,7 +283,8 @@ def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: Plan
     c, R_goal = config.costs, rotation(unit(q_goal))
     attitude = sum(np.linalg.norm(rotation(q) @ R_goal.T - np.eye(3)) for q in x.q)
     position, velocity = np.linalg.norm(x.p - p_goal, axis=1).sum(), np.linalg.norm(x.v - v_goal, axis=1).sum()
-    return float(c.q_position * position + c.q_velocity * velocity + c.q_attitude * attitude)
+    height = np.abs(x.p[:, 2] - p_goal[2]).sum()
+    return float(c.q_position * position + c.q_height * height + c.q_velocity * velocity + c.q_attitude * attitude)
 
 
 def J_col(d: Array, config: PlannerConfig) -> float:

@@ -126,3 +126,33 @@ def test_nothing_dives_to_unseen_ground(device: str):
         plan = case.plan(Planner(config_of(), device=device), ground_height=ground)
         lowest.append(plan.positions[plan.best, :, 2].min() - case.position[2])
     assert lowest[0] < -0.75 < lowest[1]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_ends_of_the_band_of_heights_count_as_obstacles(device: str, seed: int):
+    """Also where there is no point, beyond the grid, and out of the band, where nothing is clear."""
+    case = random_case(seed, count=300 * seed, nearest=0.5)
+    low, high = float(case.position[2]) - 0.3, float(case.position[2]) + 0.4
+    config = config_of(candidates__prefer_safe=False, costs__height_min=low, costs__height_max=high)
+    plan = case.plan(Planner(config, device=device))
+    x = plan.positions[:, 1:].astype(np.float64)
+    to_points = reference.clearance(x.reshape(-1, 3), kept_points(plan), 0.55).reshape(plan.clearance.shape)
+    to_ends = np.minimum(x[..., 2] - low, high - x[..., 2])
+    np.testing.assert_allclose(plan.clearance, np.minimum(to_points, np.maximum(to_ends, 0.0)), atol=2e-5)
+    for limits in (x[..., 2] - low, high - x[..., 2]):
+        assert ((limits > 0.0) & (plan.clearance < to_points - 0.01) & (limits == to_ends)).any()
+    assert (plan.clearance[to_ends < 0.0] == 0.0).all() and (to_ends < 0.0).any()
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_plans_stay_in_the_band_of_heights(device: str, side: float):
+    """For a goal ahead and out of the band, the plan leads out of it only if there is none."""
+    case = random_case(0, count=0, tilt=0.0)
+    case.velocity, case.acceleration, case.goal = np.array([3.0, 0, 0]), np.zeros(3), case.beside(6, 0, 4.0 * side)
+    end, unlimited = float(case.position[2]) + side, config_of()
+    limited = unlimited.replace({"costs.height_min" if side < 0.0 else "costs.height_max": end})
+    farthest = []
+    for config in (unlimited, limited):
+        plan = case.plan(Planner(config, device=device))
+        farthest.append((side * (plan.positions[plan.best, :, 2] - end)).max())
+    assert farthest[1] < -0.2 and farthest[0] > 0.0

@@ -26,6 +26,19 @@ def speed_kernel(v: wp.array(dtype=wp.vec3), params: wp.array(dtype=Params), out
 
 
 @wp.kernel
+def goal_kernel(
+    p: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    v: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
+    q: wp.array(dtype=wp.vec4),  # type: ignore[valid-type]
+    params: wp.array(dtype=Params),  # type: ignore[valid-type]
+    out: wp.array(dtype=float),  # type: ignore[valid-type]
+):
+    """The goal is the last row: out[i] is the cost of row i."""
+    i, goal = wp.tid(), p.shape[0] - 1
+    out[i] = costs.goal_cost(p[i], v[i], q[i], p[goal], v[goal], q[goal], params[0])
+
+
+@wp.kernel
 def attitude_kernel(q: wp.array(dtype=wp.vec4), q_goal: wp.array(dtype=wp.vec4), out: wp.array(dtype=float)):  # type: ignore[valid-type]
     i = wp.tid()
     out[i] = costs.attitude_distance(q[i], q_goal[i])
@@ -92,6 +105,18 @@ def test_speed_cost(device: str):
     v = np.array([[0, 0, 0], [3, 4, 0], [0, 0, 6], [-8, 0, 6], [0, 3, -2], [0, 0, -5], [0, 0, -6]], float)
     result = evaluate(speed_kernel, device, v, dtypes=(wp.vec3,), config=config)
     np.testing.assert_allclose(result, [0.0, 0.0, 10.0, 250.0, 0.0, 90.0, 170.0], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("q_height", [0.0, 3.0])
+def test_goal_cost_has_a_part_for_the_difference_in_height(device: str, q_height: float):
+    rng, config = np.random.default_rng(5), PlannerConfig().replace({"costs.q_height": q_height})
+    p, v = rng.normal(size=(2, 30, 3)).astype(np.float32) * 5.0
+    q = np.array([reference.unit(random_quaternion(rng, 3.0)) for _ in range(30)])
+    p[0], p[1] = p[-1] + (3.0, 4.0, 0.0), p[-1] - (0.0, 0.0, 2.0)  # level with the goal, and below it
+    rows = (reference.Rollout(*(x[i : i + 1].astype(np.float64) for x in (p, q, v))) for i in range(30))
+    expected = [reference.J_goal(row, p[-1], v[-1], q[-1], config) for row in rows]
+    result = evaluate(goal_kernel, device, p, v, q, dtypes=(wp.vec3, wp.vec3, wp.vec4), config=config)
+    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-4)
 
 
 @pytest.mark.parametrize("seed", range(4))
