@@ -177,6 +177,7 @@ def _ablation() -> Benchmark:
         ("the same noise in every plan", {"sampling.fresh_noise": False}),
         ("no cost-to-go", {"costs.q_blocked": 0.0}),
         ("no price on excess speed", {"costs.q_speed": 0.0}),
+        ("memory of one second", {"partition.memory_time": 1.0, "partition.memory_distance": 0.0}),
         ("surfaces not continued", {"partition.continue_below": 0.0, "partition.continue_above": 0.0}),
         ("surfaces continued from the present view", {"partition.view_age": 0.0}),
         ("surfaces continued behind points only", {"partition.continue_before": 1000.0}),
