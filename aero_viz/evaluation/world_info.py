@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from aero_viz.evaluation.difficulty import describe_world
+from aero_viz.flight.explanation import world_problem
 from aero_viz.scenes import World
 from aero_viz.text_table import format_table
 
@@ -30,7 +31,7 @@ class WorldInfo:
         counts = {name: len(getattr(world, name)) for name in ("cylinders", "boxes", "spheres", "triangles")}
         places = {name: getattr(world, name).tolist() for name in ("start", "goal", "bounds")}
         return {"name": world.name, **counts, "ground_height": world.ground_height, **places, "radius": self.radius,
-                **self.about}  # fmt: skip
+                "problem": world_problem(world), **self.about}  # fmt: skip
 
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
@@ -50,6 +51,8 @@ class WorldInfo:
             ["airspace", f"{_position(content['bounds'][0])} to {_position(content['bounds'][1])}"],
             [f"path for a radius of {self.radius:g} m", "yes" if about["passable"] else "no"],
         ]
+        if content["problem"] is not None:
+            rows.append(["no flight can arrive", content["problem"]])
         if about["difficulty"] is None:
             reason = "no guide from start to goal was found" if way else "the goal is the start"
             return format_table([*rows, ["difficulty", f"unknown: {reason}"]])

@@ -70,8 +70,19 @@ def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
     return where and f"The goal {_point(goal)} lies {where}"
 
 
+def world_problem(world: World) -> str | None:
+    """Return why no flight from the start to the goal of a world can arrive; None if nothing is known that prevents it.
+
+    A start inside an obstacle is no problem: that flight collides.
+    """
+    if where := _outside(world, world.start):
+        return f"The start {_point(world.start)} lies {where}; give another start."
+    problem = goal_problem(world.standing(), world.goal)
+    return problem and f"{problem}; give another goal."
+
+
 def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
-    """Refuse a world in which no planner can arrive. A start inside an obstacle is allowed: that flight collides.
+    """Refuse a world in which no planner can arrive, see `world_problem`.
 
     Args:
         world: where to fly.
@@ -82,10 +93,8 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
         UserError: the goal lies in an obstacle or is too far away for the time limit, or start or goal lies outside the
             bounds.
     """
-    if where := _outside(world, world.start):
-        raise UserError(f"The start {_point(world.start)} lies {where}; give another start.")
-    if problem := goal_problem(world.standing(), world.goal):
-        raise UserError(f"{problem}; give another goal.")
+    if problem := world_problem(world):
+        raise UserError(problem)
     distance = float(np.linalg.norm(world.goal - world.start))
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight
     if distance - rules.arrival_radius > speed_limit * time_limit:

@@ -1,5 +1,7 @@
 """Reports about worlds."""
 
+import dataclasses
+
 import numpy as np
 
 from aero_viz.evaluation.world_info import WorldInfo
@@ -21,6 +23,14 @@ def test_the_ground_is_no_obstacle():
         assert row.split(maxsplit=1)[1] == text
         assert info.to_dict()["boxes"] == 1 + len(walls), "JSON counts what the file of the world holds"
     assert "ground                       0.00 m" in info.format_table()
+
+
+def test_a_world_in_which_no_flight_can_arrive_says_why():
+    info = report([GROUND])
+    assert info.to_dict()["problem"] is None and "no flight" not in info.format_table()
+    inside = WorldInfo(dataclasses.replace(info.world, goal=np.array([5.0, 0.0, 2.0])), 0.25, info.about)
+    assert "no flight can arrive         The goal (5, 0, 2) lies inside an obstacle" in inside.format_table()
+    assert "give another goal" in inside.to_dict()["problem"]
 
 
 def test_places_are_plain_values():
