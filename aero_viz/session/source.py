@@ -42,7 +42,6 @@ class Observation:
     """World at this tick, where it can change; None where it is that of the source."""
     conditions: Mapping[str, Any] | None = None
     """Wind, noise and faults at this tick by path, such as "drone.gust_speed", where they can change."""
-
     recall: Callable[[float], tuple[Sweeps, NDArray[np.float64]]] | None = None
     """Returns the sweeps of the last seconds before this tick and their times, as long as the source stays there; None
     where all that are known are in `sweeps`."""
