@@ -71,13 +71,13 @@ class CloudStages:
 
     def find_surfaces(self) -> list[Chunk]:
         """Find the surfaces to continue; every worker looks at its share of the cells."""
-        i, o, w, width = self._inputs, self._outputs, self._work, self._tuning.cells_per_thread
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
         return self._shared(
-            continuation.find_edges,
-            self._threads(self._sizes.W),
+            continuation.find_edges(self._tuning),
+            self._threads(sizes.W),
             inputs=[
-                width, i.position, i.velocity, i.quaternion, self._params, w.view_quaternion, w.fine_directions,
-                o.occupied, o.filtered_points,
+                i.position, i.velocity, i.quaternion, self._params, sizes.F0, sizes.F1, w.view_quaternion,
+                w.fine_directions.flatten(), o.occupied, o.filtered_points,
             ],
             outputs=[w.surfaces],
         )  # fmt: skip
@@ -95,13 +95,15 @@ class CloudStages:
 
     def continue_surfaces(self) -> list[Chunk]:
         """Fill cells that the sensor does not see; every worker fills its share."""
-        i, o, w, width = self._inputs, self._outputs, self._work, self._tuning.cells_per_thread
+        i, o, w, sizes = self._inputs, self._outputs, self._work, self._sizes
         return self._shared(
-            continuation.continue_surfaces,
-            self._threads(self._sizes.W),
-            inputs=[width, i.position, i.quaternion, self._params, w.fine_directions, w.surfaces],
+            continuation.continue_surfaces(self._tuning),
+            self._threads(sizes.W),
+            inputs=[
+                i.position, i.quaternion, self._params, sizes.F0, sizes.F1, w.fine_directions.flatten(), w.surfaces,
+            ],
             outputs=[o.fine_range, o.occupied, o.filtered_points],
-        )
+        )  # fmt: skip
 
     def _shared(
         self, kernel: Any, size: tuple[int, ...], *, inputs: list[Any], outputs: list[Any], block_dim: int = 256

@@ -19,6 +19,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.kernels import (
     anchors,
     clearance,
+    continuation,
     guides,
     movers,
     mppi,
@@ -44,6 +45,8 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
     for_cpu = [(stop_proof.prove_stops(many), 256), (sample_clearance.query_sample_vectors(tuning), 256)]
     return ([] if tuning.is_cuda else for_cpu) + [
         (partition.scatter_points(tuning), 256),
+        (continuation.find_edges(tuning), 256),
+        (continuation.continue_surfaces(tuning), 256),
         (clearance.fill_rows(tuning), 256),
         (guides.make_guides(tuning), 32),
         (mppi.sample_rollouts(tuning), 32),

@@ -5,11 +5,14 @@ up. The search runs along vertical half-planes through the drone, sampled like t
 and columns of equal azimuth, but in the world frame.
 """
 
-# Postponed annotations are left out: the vector type is local to the module.
+# Postponed annotations are left out: kernels made for a tuning refer to local types.
+
+import functools
 
 import warp as wp
 
 from aero_planner.kernels.dynamics import near_atan2, quat_inverse_rotate, quat_rotate
+from aero_planner.kernels.kernel_tuning import KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.partition import cells_of_thread, farthest
 
@@ -34,61 +37,81 @@ def near_cell(d: wp.vec3, rows: int, columns: int) -> int:
     return wp.clamp(row, 0, rows - 1) * columns + wp.clamp(column, 0, columns - 1)
 
 
-@wp.kernel
-def find_edges(
-    # share of the cells
-    worker: int,
-    workers: int,
-    cells_per_thread: int,
-    # problem
-    position: wp.array(dtype=wp.vec3),
-    velocity: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    # configuration
-    params: wp.array(dtype=Params),
-    # in
-    view_quaternion: wp.array(dtype=wp.vec4),
-    directions: wp.array2d(dtype=wp.vec3),
-    occupied: wp.array2d(dtype=int),
-    filtered_points: wp.array2d(dtype=wp.vec3),
-    # out
-    surfaces: wp.array3d(dtype=wp.vec2),
-):
-    """Find the surfaces at the lower (0) and the upper (1) edge of the field of view, and beyond.
+@functools.cache
+def find_edges(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that finds surfaces at the edges of the view, for `tuning.cells_per_thread` cells at once."""
+    WIDTH = wp.constant(tuning.cells_per_thread)
+    Reals = wp.types.vector(length=tuning.cells_per_thread, dtype=wp.float32)
+    Integers = wp.types.vector(length=tuning.cells_per_thread, dtype=wp.int32)
 
-    `surfaces` are the horizontal distance, infinite without a surface, and the height above the drone [m], for each
-    cell of the world frame. A surface counts if it was at the edge `view_age` ago, at the attitude `view_quaternion`:
-    what has come into view since may not have been measured yet. Launched over [B, threads], see `cells_of_thread`.
-    """
-    b, thread = wp.tid()
-    rows = directions.shape[0]
-    columns = directions.shape[1]
-    c = params[b]
-    if wp.max(c.continue_below, c.continue_above) <= 0.0:
-        return
-    q = wp.normalize(quaternion[b])
-    origin = position[b]
-    moved = c.view_age * velocity[b]
-    height = wp.PI / float(rows)
-    lowest = wp.radians(c.view_min) + _EDGE_ROWS * height
-    highest = wp.radians(c.view_max) - _EDGE_ROWS * height
-    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, rows * columns)
-    for cell in range(first, end):
-        lower = wp.vec2(wp.INF, 0.0)
-        upper = lower
-        source = near_cell(quat_inverse_rotate(q, directions[cell // columns, cell % columns]), rows, columns)
-        if occupied[b, source] == 1:
-            offset = filtered_points[b, source] - origin
-            surface = wp.vec2(wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1]), offset[2])
-            d = quat_inverse_rotate(view_quaternion[b], offset + moved)
-            then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
-            now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI
-            if wp.min(now, then) <= lowest:
-                lower = surface
-            if wp.max(now, then) >= highest:
-                upper = surface
-        surfaces[b, 0, cell] = lower
-        surfaces[b, 1, cell] = upper
+    @wp.kernel(module="unique", enable_backward=False)
+    def find_edges(
+        # share of the cells
+        worker: int,
+        workers: int,
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        velocity: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        # configuration
+        params: wp.array(dtype=Params),
+        rows: int,
+        columns: int,
+        # in
+        view_quaternion: wp.array(dtype=wp.vec4),
+        directions: wp.array(dtype=wp.vec3),
+        occupied: wp.array2d(dtype=int),
+        filtered_points: wp.array2d(dtype=wp.vec3),
+        # out
+        surfaces: wp.array3d(dtype=wp.vec2),
+    ):
+        """Find the surfaces at the lower (0) and the upper (1) edge of the field of view, and beyond.
+
+        `surfaces` are the horizontal distance, infinite without a surface, and the height above the drone [m], for each
+        cell of the world frame. A surface counts if it was at the edge `view_age` ago, at the attitude
+        `view_quaternion`: what has come into view since may not have been measured yet. Launched over [B, threads], see
+        `cells_of_thread`.
+        """
+        b, thread = wp.tid()
+        c = params[b]
+        if wp.max(c.continue_below, c.continue_above) <= 0.0:
+            return
+        q = wp.normalize(quaternion[b])
+        origin = position[b]
+        moved = c.view_age * velocity[b]
+        height = wp.PI / float(rows)
+        lowest = wp.radians(c.view_min) + _EDGE_ROWS * height
+        highest = wp.radians(c.view_max) - _EDGE_ROWS * height
+        first, end = cells_of_thread(thread, worker, workers, WIDTH, rows * columns)
+        dx = Reals()
+        dy = Reals()
+        dz = Reals()
+        sources = Integers()
+        for j in range(WIDTH):
+            d = directions[wp.min(first + j, rows * columns - 1)]
+            dx[j] = d[0]
+            dy[j] = d[1]
+            dz[j] = d[2]
+        for j in range(WIDTH):
+            sources[j] = near_cell(quat_inverse_rotate(q, wp.vec3(dx[j], dy[j], dz[j])), rows, columns)
+        for j in range(end - first):
+            lower = wp.vec2(wp.INF, 0.0)
+            upper = lower
+            source = sources[j]
+            if occupied[b, source] == 1:
+                offset = filtered_points[b, source] - origin
+                surface = wp.vec2(wp.sqrt(offset[0] * offset[0] + offset[1] * offset[1]), offset[2])
+                d = quat_inverse_rotate(view_quaternion[b], offset + moved)
+                then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
+                now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI
+                if wp.min(now, then) <= lowest:
+                    lower = surface
+                if wp.max(now, then) >= highest:
+                    upper = surface
+            surfaces[b, 0, first + j] = lower
+            surfaces[b, 1, first + j] = upper
+
+    return find_edges
 
 
 @wp.func
@@ -130,51 +153,76 @@ def find_nearest_surfaces(
                 surfaces[b, side, row_of_step(first + j, side, rows) * columns + column] = nearest
 
 
-@wp.kernel
-def continue_surfaces(
-    # share of the cells
-    worker: int,
-    workers: int,
-    cells_per_thread: int,
-    # problem
-    position: wp.array(dtype=wp.vec3),
-    quaternion: wp.array(dtype=wp.vec4),
-    # configuration
-    params: wp.array(dtype=Params),
-    # in
-    directions: wp.array2d(dtype=wp.vec3),
-    surfaces: wp.array3d(dtype=wp.vec2),
-    # in and out
-    fine_range: wp.array2d(dtype=float),
-    occupied: wp.array2d(dtype=int),
-    filtered_points: wp.array2d(dtype=wp.vec3),
-):
-    """Fill cells with the continuation of a surface, by at most continue_below or continue_above.
+@functools.cache
+def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that fills cells with continued surfaces, `tuning.cells_per_thread` at once."""
+    WIDTH = wp.constant(tuning.cells_per_thread)
+    Reals = wp.types.vector(length=tuning.cells_per_thread, dtype=wp.float32)
+    Integers = wp.types.vector(length=tuning.cells_per_thread, dtype=wp.int32)
 
-    A cell is filled if it is empty, or if its point lies more than `continue_before` behind the surface. Filled cells
-    are marked by `occupied` = 2. Launched over [B, threads], see `cells_of_thread`.
-    """
-    b, thread = wp.tid()
-    rows = directions.shape[0]
-    columns = directions.shape[1]
-    c = params[b]
-    q = wp.normalize(quaternion[b])
-    origin = position[b]
-    range_max = farthest(c)
-    middle = 0.5 * wp.radians(c.view_min + c.view_max)
-    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, rows * columns)
-    for cell in range(first, end):
-        elevation = (float(cell // columns) + 0.5) * (wp.PI / float(rows)) - 0.5 * wp.PI
-        side = wp.where(elevation > middle, 1, 0)
-        limit = wp.where(side == 0, c.continue_below, c.continue_above)
-        d = quat_rotate(q, directions[cell // columns, cell % columns])
-        flat = wp.sqrt(d[0] * d[0] + d[1] * d[1])
-        if limit > 0.0 and flat >= _LEAST_FLAT:
-            surface = surfaces[b, side, near_cell(d, rows, columns)]
-            distance = surface[0] / flat
-            depth = surface[1] - distance * d[2]
-            is_near = distance <= range_max and wp.where(side == 0, depth, -depth) <= limit
-            if is_near and (occupied[b, cell] != 1 or fine_range[b, cell] > distance + c.continue_before):
-                fine_range[b, cell] = distance
-                filtered_points[b, cell] = origin + distance * d
-                occupied[b, cell] = 2
+    @wp.kernel(module="unique", enable_backward=False)
+    def continue_surfaces(
+        # share of the cells
+        worker: int,
+        workers: int,
+        # problem
+        position: wp.array(dtype=wp.vec3),
+        quaternion: wp.array(dtype=wp.vec4),
+        # configuration
+        params: wp.array(dtype=Params),
+        rows: int,
+        columns: int,
+        # in
+        directions: wp.array(dtype=wp.vec3),
+        surfaces: wp.array3d(dtype=wp.vec2),
+        # in and out
+        fine_range: wp.array2d(dtype=float),
+        occupied: wp.array2d(dtype=int),
+        filtered_points: wp.array2d(dtype=wp.vec3),
+    ):
+        """Fill cells with the continuation of a surface, by at most continue_below or continue_above.
+
+        A cell is filled if it is empty, or if its point lies more than `continue_before` behind the surface. Filled
+        cells are marked by `occupied` = 2. Launched over [B, threads], see `cells_of_thread`.
+        """
+        b, thread = wp.tid()
+        c = params[b]
+        if wp.max(c.continue_below, c.continue_above) <= 0.0:
+            return
+        q = wp.normalize(quaternion[b])
+        origin = position[b]
+        range_max = farthest(c)
+        middle = 0.5 * wp.radians(c.view_min + c.view_max)
+        first, end = cells_of_thread(thread, worker, workers, WIDTH, rows * columns)
+        dx = Reals()
+        dy = Reals()
+        dz = Reals()
+        sources = Integers()
+        for j in range(WIDTH):
+            d = directions[wp.min(first + j, rows * columns - 1)]
+            dx[j] = d[0]
+            dy[j] = d[1]
+            dz[j] = d[2]
+        for j in range(WIDTH):
+            d = quat_rotate(q, wp.vec3(dx[j], dy[j], dz[j]))
+            dx[j] = d[0]
+            dy[j] = d[1]
+            dz[j] = d[2]
+            sources[j] = near_cell(d, rows, columns)
+        for j in range(end - first):
+            cell = first + j
+            elevation = (float(cell // columns) + 0.5) * (wp.PI / float(rows)) - 0.5 * wp.PI
+            side = wp.where(elevation > middle, 1, 0)
+            limit = wp.where(side == 0, c.continue_below, c.continue_above)
+            flat = wp.sqrt(dx[j] * dx[j] + dy[j] * dy[j])
+            if limit > 0.0 and flat >= _LEAST_FLAT:
+                surface = surfaces[b, side, sources[j]]
+                distance = surface[0] / flat
+                depth = surface[1] - distance * dz[j]
+                is_near = distance <= range_max and wp.where(side == 0, depth, -depth) <= limit
+                if is_near and (occupied[b, cell] != 1 or fine_range[b, cell] > distance + c.continue_before):
+                    fine_range[b, cell] = distance
+                    filtered_points[b, cell] = origin + distance * wp.vec3(dx[j], dy[j], dz[j])
+                    occupied[b, cell] = 2
+
+    return continue_surfaces
