@@ -201,6 +201,7 @@ def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world
 
 def test_the_saved_world_opens_again_with_what_was_added(desk, tmp_path):
     throw(desk)
+    desk.session.set_goal([30.0, 4.0, 3.0]).result()
     path = desk.download("Save world", tmp_path)
     assert path.suffix == ".json"
     source = open_source(str(path), seed=0)
@@ -210,6 +211,7 @@ def test_the_saved_world_opens_again_with_what_was_added(desk, tmp_path):
     for kind in KINDS.values():
         np.testing.assert_array_equal(getattr(world, kind), getattr(saved, kind))
     np.testing.assert_array_equal(world.bounds, saved.bounds)
+    np.testing.assert_array_equal(world.goal, [30.0, 4.0, 3.0])
 
 
 def values(desk: Desk, label: str) -> list[float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -88,7 +89,7 @@ class ObstaclePanel(Panel):
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
         hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."
         self._history = gui.add_button_group("History", ("undo", "redo"), hint=hint)
-        hint = "Download the world as it is now, as JSON that `aero-viz fly` and Open path read."
+        hint = "Download the world as it is now, with its goal, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
 
     def _connect(self) -> None:
@@ -113,8 +114,8 @@ class ObstaclePanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             frame = self.session.frame
             if event.client is not None and frame is not None and frame.moving_world is not None:
-                content = frame.moving_world.to_json().encode()
-                event.client.send_file_download(f"{frame.moving_world.name}.json", content, save_immediately=True)
+                world = dataclasses.replace(frame.moving_world, goal=np.asarray(frame.observation.goal.position))
+                event.client.send_file_download(f"{world.name}.json", world.to_json().encode(), save_immediately=True)
 
         self._on_input(self._center, Obstacle.moved)
         self._on_input(self._size, Obstacle.resized)
