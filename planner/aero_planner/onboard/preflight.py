@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+import math
 import platform
 import shutil
 import statistics
@@ -71,7 +72,7 @@ def preflight(
     """
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
-    checks += [check_thrust(planner, onboard), _check_clock(), *_check_disk(log)]
+    checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(), *_check_disk(log)]
     checks += [*_check_telemetry_port(onboard), *_check_receive_buffer(), _check_failsafe_process(planner, onboard)]
     link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
     lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
@@ -158,6 +159,19 @@ def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     is_plausible = 1.3 < full / weight < 12.0
     advice = "Measure the hover thrust (docs/onboard.md): thrust to weight should lie between 1.3 and 12."
     return Check("hover thrust", f"{finding}, {full / weight:.1f} times the weight", ok=is_plausible, advice=advice)
+
+
+def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
+    """Check that the cloud reaches back far enough for the speed limit, see `PlannerConfig.memory`."""
+    lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
+    needed = min(math.ceil(planner.memory / lidar.sweep_period - 1e-3), lidar.sweeps + int(most or 0))
+    known = lidar.sweeps + lidar.older_sweeps
+    finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
+    advice = (
+        f"At a limit of {planner.vehicle.speed_limit:g} m/s, what has left the view stays near for longer: set "
+        f"lidar.older_sweeps to {needed - lidar.sweeps} or more."
+    )
+    return Check("memory", finding, ok=known >= needed, required=False, advice=advice)
 
 
 def _check_clock() -> Check:

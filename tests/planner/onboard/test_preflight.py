@@ -11,7 +11,7 @@ from aero_planner import Planner
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.onboard.connections import open_lidar
 from aero_planner.onboard.input_checks import check_inputs
-from aero_planner.onboard.preflight import check_thrust, preflight
+from aero_planner.onboard.preflight import check_memory, check_thrust, preflight
 from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
 
@@ -214,3 +214,14 @@ def test_a_report_passes_if_all_required_checks_do():
     assert CheckReport((good, warning)).passed
     assert "warn  b  no" in CheckReport((good, warning)).format_table()
     assert not CheckReport((good, dataclasses.replace(warning, required=True))).passed
+
+
+@pytest.mark.parametrize(
+    ("limit", "older", "advised"), [(7.0, 20, None), (7.0, 19, 20), (1.0, 20, 80), (1.0, 80, None), (0.5, 100, None)]
+)
+def test_a_slow_drone_needs_a_longer_memory(limit: float, older: int, advised: int | None):
+    planner = SMALL.replace({"vehicle.speed_limit": limit})
+    check = check_memory(planner, OnboardConfig().replace({"lidar.older_sweeps": older}))
+    assert check.finding == f"the cloud reaches back {1.0 + 0.1 * older:.1f} s, {10 + older} sweeps"
+    assert check.ok is (advised is None) and not check.required
+    assert advised is None or f"set lidar.older_sweeps to {advised} or more" in check.advice
