@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-
 from aero_planner import PlannerConfig
+from aero_planner.sweeps import sweeps_within
 from aero_viz.sensors.lidar import LidarModel
 
 SWEEPS = 30
@@ -17,7 +16,7 @@ MOST_SWEEPS = 120
 
 def remembered_sweeps(memory: float, lidar: LidarModel) -> int:
     """Return how many sweeps are newer than `memory` [s] when one is complete, see `PlannerConfig.memory`."""
-    return min(max(math.ceil(memory * lidar.sweep_rate - 1e-3), 1), MOST_SWEEPS)
+    return min(max(sweeps_within(memory, 1.0 / lidar.sweep_rate), 1), MOST_SWEEPS)
 
 
 DEFAULT_MEMORY = PlannerConfig().memory

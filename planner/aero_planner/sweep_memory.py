@@ -108,8 +108,9 @@ class SweepMemory:
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
         self._whole = whole
-        self._forgetful = np.flatnonzero(np.array([] if remembered is None else remembered) < sweeps)  # drones
-        self._remembered = np.array([] if remembered is None else remembered, dtype=np.int64)[self._forgetful]
+        kept = np.array([] if remembered is None else remembered, dtype=np.int64)
+        self._forgetful = np.flatnonzero(kept < sweeps)  # drones
+        self._remembered = kept[self._forgetful]
         self._thinned: set[int] = set()  # rows
         self._unordered: list[int] = []  # rows that the device orders, which the table on the host does not mention yet
         self._is_change_due = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 import weakref
 from collections.abc import Iterable, Iterator
 from typing import NamedTuple
@@ -14,6 +15,11 @@ THINNING = 5
 """One point in five of an older sweep is kept."""
 HASH_FACTORS = (2654435761, 2246822519, 3266489917)
 """Odd factors of the bits of x, y and z, whose sum chooses the points that are kept: it depends on the point alone."""
+
+
+def sweeps_within(memory: float, period: float) -> int:
+    """Return how many sweeps of a `period` [s] are newer than `memory` [s] when one is complete."""
+    return math.ceil(memory / period - 1e-3)
 
 
 class Arrival(NamedTuple):

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_planner.kernels.stops import ALWAYS_SEEN
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer
 from aero_viz.dashboard.layers.cells import cells_of, is_unseen
@@ -13,8 +14,7 @@ from aero_viz.session.frame import Frame
 
 _SECTORS = 480
 """Sectors of a turn, three for each column of cells by default."""
-_NEAREST = 0.5
-"""Distance up to which nothing is hidden [m], as in the proof of a stop."""
+_NEAREST = float(ALWAYS_SEEN)
 _ANGLES = 2.0 * np.pi * np.arange(_SECTORS + 1) / _SECTORS
 _BORDERS = np.stack((np.cos(_ANGLES), np.sin(_ANGLES), np.zeros_like(_ANGLES)), axis=-1)
 _MIDDLES = _BORDERS[1:] + _BORDERS[:-1]

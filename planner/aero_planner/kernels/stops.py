@@ -27,6 +27,8 @@ from aero_planner.kernels.records import DroneState, Rollouts
 
 wp.set_module_options({"enable_backward": False})
 
+ALWAYS_SEEN = wp.constant(0.5)
+"""Distance from the drone up to which nothing is hidden [m]."""
 STOPS = wp.constant(6)
 """Stops of a candidate: three that leave it at once, straight ahead and to either side, and three that leave it after a
 quarter, half and all of the horizon."""
@@ -136,11 +138,11 @@ def is_hidden(
     params: Params,
     fine_range: wp.array2d(dtype=float),
 ) -> bool:
-    """Return True if x is more than 0.5 m away, and not seen from the drone."""
+    """Return True if x is farther away than `ALWAYS_SEEN`, and not seen from the drone."""
     to_x = quat_inverse_rotate(wp.normalize(quaternion), x - position)
     distance = wp.length(to_x)
     hidden = bool(False)
-    if distance > 0.5:
+    if distance > ALWAYS_SEEN:
         row, column = cell_of_direction(to_x, rows, columns)
         hidden = distance > seen_range(b, row, column, rows, columns, params, fine_range)
     return hidden

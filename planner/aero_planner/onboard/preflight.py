@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import math
 import platform
 import shutil
 import statistics
@@ -33,6 +32,7 @@ from aero_planner.onboard.px4_parameters import (
 )
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
+from aero_planner.sweeps import sweeps_within
 
 T = TypeVar("T")
 
@@ -164,7 +164,7 @@ def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
 def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     """Check that the cloud reaches back far enough for the speed limit, see `PlannerConfig.memory`."""
     lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
-    needed = min(math.ceil(planner.memory / lidar.sweep_period - 1e-3), lidar.sweeps + int(most or 0))
+    needed = min(sweeps_within(planner.memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
     known = lidar.sweeps + lidar.older_sweeps
     finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
     advice = (
