@@ -127,39 +127,53 @@ def lagged_control(command: wp.vec4, control: wp.vec4, shares: wp.vec4) -> wp.ve
 
 
 @wp.func
-def _rate(q: wp.vec4, omega: wp.vec3) -> wp.vec4:
-    """Return dq = 1/2 q (x) [0, omega]."""
-    return 0.5 * quat_multiply(q, wp.vec4(0.0, omega[0], omega[1], omega[2]))
+def _half_turn(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
+    """Return h = dt/2 dq, the change of q in half a time step at its rate dq = 1/2 q (x) [0, omega]."""
+    return quat_multiply(q, wp.vec4(0.0, 0.25 * dt * omega[0], 0.25 * dt * omega[1], 0.25 * dt * omega[2]))
 
 
 @wp.func
-def _step_factors(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec2:
-    """Return the factors of q and dq in the unit quaternion after dt at constant body rates.
+def _step_factors(q: wp.vec4, s: float) -> wp.vec2:
+    """Return the factors of q and h = `_half_turn` in the unit quaternion after a time step at constant body rates.
 
-    dq = A q is linear in q with A^2 = -|omega|^2 / 4, so the four RK4 stages sum to a q + b A q. As A q is orthogonal
-    to q, the norm |a q + b A q| follows from s = |omega dt|^2 / 4 and |q|, and no square root depends on the new q. The
+    dq = A q is linear in q with A^2 = -|omega|^2 / 4, so the four RK4 stages sum to a q + b h. As h is orthogonal to q,
+    the norm |a q + b h| follows from s = |omega dt|^2 / 4 and |q|, and no square root depends on the new q. The
     deviation of |q| from 1 by rounding is corrected by the first terms of the series of 1 / |q|.
     """
-    s = 0.25 * dt * dt * wp.dot(omega, omega)
     unit = 1.0 / wp.sqrt(1.0 - s * s * s * (1.0 / 72.0) + s * s * s * s * (1.0 / 576.0))
     unit = unit * (1.5 - 0.5 * wp.dot(q, q))
-    return wp.vec2(
-        unit * (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)),
-        unit * (dt * (1.0 - s * (1.0 / 6.0))),
-    )
+    return wp.vec2(unit * (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)), unit * (2.0 - s * (1.0 / 3.0)))
 
 
 @wp.func
 def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
     """Return the unit quaternion after dt at constant body rates, the attitude part of `rk4_step`."""
-    factors = _step_factors(q, omega, dt)
-    return factors[0] * q + factors[1] * _rate(q, omega)
+    factors = _step_factors(q, 0.25 * dt * dt * wp.dot(omega, omega))
+    return factors[0] * q + factors[1] * _half_turn(q, omega, dt)
 
 
 @wp.func
 def thrust_free_acceleration(disturbance: wp.vec3, params: Params) -> wp.vec3:
     """Return g + d, the acceleration without thrust and drag [m/s^2], world frame."""
     return disturbance - wp.vec3(0.0, 0.0, params.gravity)
+
+
+@wp.func
+def _axis_change(q: wp.vec4) -> wp.vec3:
+    """Return Q(q) = `thrust_axis`(q) - e_3, a quadratic form."""
+    return wp.vec3(
+        2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), -2.0 * (q[1] * q[1] + q[2] * q[2])
+    )
+
+
+@wp.func
+def _mixed_axis_change(a: wp.vec4, b: wp.vec4) -> wp.vec3:
+    """Return Q(a + b) - Q(a) - Q(b), with Q = `_axis_change`."""
+    return wp.vec3(
+        2.0 * (a[1] * b[3] + a[3] * b[1] + a[0] * b[2] + a[2] * b[0]),
+        2.0 * (a[2] * b[3] + a[3] * b[2] - a[0] * b[1] - a[1] * b[0]),
+        -4.0 * (a[1] * b[1] + a[2] * b[2]),
+    )
 
 
 @wp.func
@@ -171,21 +185,35 @@ def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.
     """
     omega = wp.vec3(u[1], u[2], u[3])
     thrust = u[0] / mass
-    # The stages q + dt/2 dq(q), q + dt/2 dq(q2) and q + dt dq(q3), by the algebra of `_step_factors`, which makes them
-    # independent of each other.
-    dq = _rate(q, omega)
     s = 0.25 * dt * dt * wp.dot(omega, omega)
-    half = (0.5 * dt) * dq
-    q2 = q + half
-    q3 = (1.0 - 0.25 * s) * q + half
-    q4 = (1.0 - 0.5 * s) * q + (dt * (1.0 - 0.25 * s)) * dq
-    free = g - drag * v
-    a1 = thrust * thrust_axis(q) + free
-    a2 = thrust * thrust_axis(q2) + free - (0.5 * dt * drag) * a1
-    a3 = thrust * thrust_axis(q3) + free - (0.5 * dt * drag) * a2
-    a4 = thrust * thrust_axis(q4) + free - (dt * drag) * a3
-    # As dp = v, the stages of the position are combinations of a1, a2 and a3.
-    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * (a1 + a2 + a3)
-    v_next = v + (dt * (1.0 / 6.0)) * (a1 + 2.0 * (a2 + a3) + a4)
-    factors = _step_factors(q, omega, dt)
-    return p_next, v_next, factors[0] * q + factors[1] * dq
+    h = _half_turn(q, omega, dt)
+    # By the algebra of `_step_factors`, the stages of the attitude are q, q + h, alpha q + h and beta q + 2 alpha h.
+    # Their axes are e_3 + Q, where Q(a q + b h) = a^2 Q(q) + a b Q(q, h) + b^2 Q(h), so that sums of the stages need
+    # these three terms only.
+    alpha = 1.0 - 0.25 * s
+    beta = 1.0 - 0.5 * s
+    Q_q = _axis_change(q)
+    Q_h = _axis_change(h)
+    Q_qh = _mixed_axis_change(q, h)
+    # With A = F_t / m z + g - drag v and k = drag dt/2, the stages of dv are a_1 = A_1, a_2 = A_2 - k a_1,
+    # a_3 = A_3 - k a_2 and a_4 = A_4 - 2 k a_3. The sums are a_1 + 2 a_2 + 2 a_3 + a_4 = c_1 A_1 + .. + c_3 A_3 + A_4,
+    # and, as dp = v, a_1 + a_2 + a_3 = d_1 A_1 + d_2 A_2 + A_3.
+    k = 0.5 * dt * drag
+    c3 = 2.0 - 2.0 * k
+    c2 = 2.0 - k * c3
+    c1 = 1.0 - k * c2
+    d2 = 1.0 - k
+    d1 = 1.0 - k * d2
+    level = g - drag * v + wp.vec3(0.0, 0.0, thrust)
+    sum_v = (c1 + c2 + c3 + 1.0) * level + thrust * (
+        (c1 + c2 + c3 * alpha * alpha + beta * beta) * Q_q
+        + (c2 + c3 * alpha + 2.0 * alpha * beta) * Q_qh
+        + (c2 + c3 + 4.0 * alpha * alpha) * Q_h
+    )
+    sum_p = (d1 + d2 + 1.0) * level + thrust * (
+        (d1 + d2 + alpha * alpha) * Q_q + (d2 + alpha) * Q_qh + (d2 + 1.0) * Q_h
+    )
+    factors = _step_factors(q, s)
+    p_next = p + dt * v + (dt * dt * (1.0 / 6.0)) * sum_p
+    v_next = v + (dt * (1.0 / 6.0)) * sum_v
+    return p_next, v_next, factors[0] * q + factors[1] * h
