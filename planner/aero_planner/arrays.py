@@ -11,6 +11,7 @@ Shapes use these symbols:
     J   stops of an instance                H   remembered places
     W   workers: CPU threads, 1 on CUDA     T   noise sequences in the table
     S   sweeps of the cloud                 P   points of the cloud
+    Y   F, rounded up to whole multiples of the rows that the search for surfaces reads at once
     E   counters of a sweep                 X   moving obstacles
     U   wakes of a sweep
 """
@@ -26,6 +27,7 @@ import warp as wp
 from aero_planner.array_memory import array, as_dict
 from aero_planner.config import PlannerConfig
 from aero_planner.kernels.clearance import GRID
+from aero_planner.kernels.continuation import READ_ROWS
 from aero_planner.kernels.escape import PLACES
 from aero_planner.kernels.guides import BRAKING_CANDIDATES
 from aero_planner.kernels.kernel_tuning import KernelTuning
@@ -173,7 +175,7 @@ class Workspace:
     cell_keys: wp.array = array(wp.uint64, "W B F", "", "Range and index of the nearest point; all ones: none.")
     worker_dropped: wp.array = array(wp.int32, "W B", "", "Points that were not finite, counted by each worker.")
 
-    surfaces: wp.array = array(wp.vec2, "B 2 F", "m", "Nearest surface to continue: distance, horizontal, and height.")
+    surfaces: wp.array = array(wp.vec2, "B 2 Y", "m", "Nearest surface to continue: distance, horizontal, and height.")
 
     points_used: wp.array = array(wp.int32, "W B", "", "Points in each worker's part of the list.")
     cell_ends: wp.array = array(wp.int32, "B G", "", "Number of points, then begin, then end of each cell in the list.")
@@ -248,6 +250,7 @@ class Sizes:
     F: int
     F0: int
     F1: int
+    Y: int
     C: int
     G: int
     V: int
@@ -263,8 +266,8 @@ class Sizes:
         rows, columns = fine_shape(config)
         vector = max(tuning.samples_per_thread, tuning.samples_per_read)
         pack = tuning.points_per_pack
-        # A point has copies in three layers, and on a CPU in three rows of each; a worker has every W-th layer.
-        copies = (1 if tuning.is_cuda else 3) * math.ceil(3 / workers)
+        # A point has copies in three layers, and with duplicates in three rows of each; a worker has every W-th layer.
+        copies = (1 + 2 * tuning.for_batch(batch).duplicate_rows) * math.ceil(3 / workers)
         return cls(
             B=batch,
             M=M,
@@ -279,6 +282,7 @@ class Sizes:
             F=rows * columns,
             F0=rows,
             F1=columns,
+            Y=-(-rows // int(READ_ROWS)) * int(READ_ROWS) * columns,
             C=part.coarse_rows * part.coarse_columns,
             G=int(GRID) ** 3,
             V=workers * -(-rows * columns * copies // pack),

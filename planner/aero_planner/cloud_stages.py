@@ -24,7 +24,7 @@ class CloudStages:
         arrays: arrays of the planner.
 
     Attributes:
-        duplicate_rows: 1 where the grid stores each point in the neighbouring rows as well, as on a CPU, else 0.
+        duplicate_rows: as in the tuning for the batch.
     """
 
     def __init__(
@@ -35,7 +35,7 @@ class CloudStages:
         tuning: KernelTuning,
         arrays: PipelineArrays,
     ) -> None:
-        self.duplicate_rows = 0 if tuning.is_cuda else 1
+        self.duplicate_rows = tuning.for_batch(sizes.B).duplicate_rows
         self._record, self._serial = sequence.record, sequence.serial
         self._config, self._sizes, self._tuning = config, sizes, tuning
         self._inputs, self._outputs, self._work = arrays.inputs, arrays.outputs, arrays.work

@@ -51,12 +51,13 @@ class _Branches:
         """Use the present stream of the device as the main stream."""
         self._main_stream = self._device.stream if self._is_enabled else None
 
-    def fork(self, name: str) -> None:
-        """Put the following launches on a side stream, after everything so far."""
+    def fork(self, name: str, after: str | None = None) -> None:
+        """Put the following launches on a side stream, after everything so far or after a branch that has ended."""
         if self._is_enabled:
             if name not in self._side_streams:
                 self._side_streams[name] = wp.Stream(self._device)
-            self._side_streams[name].wait_event(self._main_stream.record_event())
+            begin = self._main_stream.record_event() if after is None else self._ends[after]
+            self._side_streams[name].wait_event(begin)
             self._device.set_stream(self._side_streams[name], sync=False)
 
     def end_fork(self, name: str) -> None:
@@ -117,13 +118,19 @@ class LaunchSequence:
         """Return a stage of one chunk."""
         return [[(name, launch) for launch in launches]]
 
-    def branch(self, name: str, *launches: Callable[[], Any]) -> list[Callable[[], Any]]:
-        """Return launches that on CUDA run on a side stream, in parallel with those between them and the join."""
-        return [self.fork(name), *launches, self.end_fork(name)]
+    def branch(self, name: str, *launches: Callable[[], Any], after: str | None = None) -> list[Callable[[], Any]]:
+        """Return launches that on CUDA run on a side stream, in parallel with those between them and the join.
 
-    def fork(self, name: str) -> Callable[[], Any]:
-        """Return a launch that on CUDA puts the following ones on a side stream, after everything so far."""
-        return partial(self._branches.fork, name)
+        They begin after everything so far or, with `after`, after the branch of that name.
+        """
+        return [self.fork(name, after), *launches, self.end_fork(name)]
+
+    def fork(self, name: str, after: str | None = None) -> Callable[[], Any]:
+        """Return a launch that on CUDA puts the following ones on a side stream.
+
+        They run after everything so far or, with `after`, after the branch of that name, which must have ended.
+        """
+        return partial(self._branches.fork, name, after)
 
     def end_fork(self, name: str) -> Callable[[], Any]:
         """Return a launch that on CUDA puts the following ones on the main stream, in parallel with the branch."""

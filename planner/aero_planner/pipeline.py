@@ -58,6 +58,7 @@ def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
         (selection.evaluate_states(tuning), 32),
         (selection.evaluate_states(many), 32),
         (selection.score_instances(tuning), 32),
+        (selection.commit_plan(tuning), 32),
         (stops.roll_out_stops(tuning), 32),
         (stop_proof.evaluate_stops(tuning), 32),
         (stop_proof.evaluate_stops(many), 32),
@@ -98,40 +99,45 @@ class Pipeline(LaunchSequence):
 
     def _record_stages(self, arrays: PipelineArrays, cloud: CloudStages) -> None:
         """Record all launches. On CUDA, branches run in parallel with the stages up to their join."""
+        predict = self.serial("anchors", *self.branch("anchors", self._predict_state()))
+        place_anchors = self.serial("anchors", *self.branch("anchors", self._place_anchors(), after="anchors"))
         place_movers = self._place_movers()
-        place_anchors = self.branch("anchors", *self._place_anchors())
+        movers = self.serial("anchors", *self.branch("movers", place_movers, after="anchors"))
         scan = cloud.scan_points()
-        pool = self.serial("partition", *self.branch("pool", cloud.pool_coarse_cells()))  # no later stage needs it
+        reset_grid = arrays.work.cell_ends.zero_, arrays.work.points_used.zero_
+        # No later stage needs the coarse cells. Beside the guides they would delay these.
+        pool = self.serial("partition", *self.branch("pool", cloud.pool_coarse_cells(), after="grid"))
         plan = [
             cloud.finish_fine_cells(),
             self.serial("partition", self.join("anchors")),
             cloud.find_surfaces(),
             cloud.find_nearest_surfaces(),
             cloud.continue_surfaces(),
-            *([pool] if self._device.is_cuda else []),
-            self.serial("grid", self.fork("grid")),  # until the first clearance query
+            self.serial("grid", self.fork("grid"), *reset_grid),  # until the first clearance query
             cloud.build_clearance_grid(),
             self.serial("guides", self.end_fork("grid"), self._make_guides()),
+            *([pool] if self._device.is_cuda else []),
             self._optimize(),
             *self._select_instance(pool),
         ]
-        anchors = self.serial("anchors", *place_anchors)
-        self.stages[PLAN] = [self.serial("anchors", *self.branch("movers", place_movers)), anchors, scan, *plan]
+        # A GPU starts the first launches one after another, in the order in which they are recorded.
+        self.stages[PLAN] = [predict, scan, place_anchors, movers, *plan]
         if arrays.change is not None and self._device.is_cuda:
             sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
             self.stages[PLAN_AND_ARRIVAL] = [
                 self.serial("motion", *self.branch("movers", *sweeps.estimate_motion(), place_movers)),
-                anchors,
+                predict,
                 self.serial("partition", *sweeps.thin()),
                 scan,
+                place_anchors,
                 self.serial("order", *self.branch("order", *sweeps.order_points())),  # this plan reads without order
                 *plan,
                 self.serial("order", self.join("order")),
             ]
 
-    def _place_anchors(self) -> list[Callable[[], Any]]:
+    def _place_anchors(self) -> Callable[[], Any]:
         i, o, w, r, anchor_config = self._inputs, self._outputs, self._work, self._records, self._config.anchors
-        place = self.record(
+        return self.record(
             anchors.place_anchors,
             (self._sizes.B, self._sizes.A),
             inputs=[
@@ -143,7 +149,6 @@ class Pipeline(LaunchSequence):
                 o.initial_endpoints,
             ],
         )  # fmt: skip
-        return [w.cell_ends.zero_, w.points_used.zero_, self._predict_state(), place]
 
     def _predict_state(self) -> Callable[[], Any]:
         r = self._records
@@ -340,8 +345,8 @@ class Pipeline(LaunchSequence):
     def _commit_plan(self) -> Callable[[], Any]:
         i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
         return self.record(
-            selection.commit_plan,
-            (sizes.B, sizes.N + 1),
+            selection.commit_plan(self._tuning),
+            (sizes.B, self._tuning.threads_per_instance),
             inputs=[
                 i.time, i.position, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index,
                 w.waypoints, w.standing_clearance, w.instance_scores, w.plan_period, w.stop_ready, w.stop_command,

@@ -1,6 +1,8 @@
 """Anchors: M_h x M_v directions around the goal direction, each moved to the safe direction of its coarse cell."""
 
-from __future__ import annotations
+# Postponed annotations are left out: functions made for a tuning refer to local types.
+
+import functools
 
 import warp as wp
 
@@ -138,34 +140,42 @@ def place_anchors(
     initial_endpoints[b, m] = p + length * d
 
 
-@wp.func
-def safe_anchor(
-    b: int,
-    m: int,
-    position: wp.vec3,
-    quaternion: wp.vec4,
-    params: Params,
-    fine_cells: int,
-    coarse_rows: int,
-    coarse_columns: int,
-    fine_range: wp.array2d(dtype=float),
-    directions: wp.array2d(dtype=wp.vec3),
-    length: float,
-    clip: int,
-    initial_directions: wp.array2d(dtype=wp.vec3),
-) -> wp.vec3:
-    """Return the refined endpoint p0 + l d, with d the safe direction of the coarse cell [m], world frame.
+@functools.cache
+def safe_anchor(lanes: int) -> wp.Function:
+    """Return the function that refines an anchor, which `lanes` lanes of a warp share."""
+    safest = safest_fine_cell(lanes)
 
-    With `clip`, it is `guide_margin` nearer than what its fine cell measured, but no nearer than `guide_min`.
-    """
-    d = initial_directions[b, m]
-    free = float(0.0)
-    if params.refine != 0:
-        row, column = cell_of_direction(d, coarse_rows, coarse_columns)
-        free, d = safest_fine_cell(fine_range, directions, b, row, column, fine_cells, initial_directions[b, m])
-    elif clip != 0:
-        fine_row, fine_column = cell_of_direction(d, directions.shape[0], directions.shape[1])
-        free = fine_range[b, fine_row * directions.shape[1] + fine_column]
-    if clip != 0:
-        length = wp.min(length, wp.max(free - params.guide_margin, params.guide_min))
-    return position + length * quat_rotate(quaternion, d)
+    @wp.func
+    def safe_anchor(
+        b: int,
+        m: int,
+        lane: int,
+        position: wp.vec3,
+        quaternion: wp.vec4,
+        params: Params,
+        fine_cells: int,
+        coarse_rows: int,
+        coarse_columns: int,
+        fine_range: wp.array2d(dtype=float),
+        directions: wp.array2d(dtype=wp.vec3),
+        length: float,
+        clip: int,
+        initial_directions: wp.array2d(dtype=wp.vec3),
+    ) -> wp.vec3:
+        """Return the refined endpoint p0 + l d, with d the safe direction of the coarse cell [m], world frame.
+
+        With `clip`, it is `guide_margin` nearer than what its fine cell measured, but no nearer than `guide_min`.
+        """
+        d = initial_directions[b, m]
+        free = float(0.0)
+        if params.refine != 0:
+            row, column = cell_of_direction(d, coarse_rows, coarse_columns)
+            free, d = safest(fine_range, directions, b, lane, row, column, fine_cells, initial_directions[b, m])
+        elif clip != 0:
+            fine_row, fine_column = cell_of_direction(d, directions.shape[0], directions.shape[1])
+            free = fine_range[b, fine_row * directions.shape[1] + fine_column]
+        if clip != 0:
+            length = wp.min(length, wp.max(free - params.guide_margin, params.guide_min))
+        return position + length * quat_rotate(quaternion, d)
+
+    return safe_anchor

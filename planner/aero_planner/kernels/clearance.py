@@ -3,8 +3,8 @@
 A grid of cubic cells surrounds the drone. Its cells are at least as wide as the largest distance that is queried, so
 that the 27 cells around a position contain every point that matters; cells out of the query's range are skipped. Points
 are sorted by cell, row by row along x. Each point is also stored in the layers below and above its own and, with
-`duplicate_rows` (on a CPU, where that pays), in the two neighbouring rows. The 27 cells are then one range of the list
-instead of three. Nothing is approximated.
+`duplicate_rows`, where that pays, in the two neighbouring rows. The 27 cells are then one range of the list instead of
+three. Nothing is approximated.
 """
 
 # Postponed annotations are left out: kernels made for a tuning refer to local types.
@@ -192,6 +192,7 @@ def scan_packs(width: int, threads: int) -> wp.Function:
     """Return the function that compares a position with every `threads`-th pack of `width` points."""
     THREADS, WIDTH = wp.constant(threads), wp.constant(width)
     read_pack = read_point_pack(width)
+    is_cuda = width == 4
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
     Pack: Any = point_pack(width)
 
@@ -205,7 +206,11 @@ def scan_packs(width: int, threads: int) -> wp.Function:
                 dy = pack[1, j] - x[1]
                 dz = pack[2, j] - x[2]
                 d = dx * dx + dy * dy + dz * dz
-                best[j] = wp.where(d < best[j], d, best[j])
+                # CUDA has an instruction for `min`. On a CPU `min` respects NaN, which takes several.
+                if wp.static(is_cuda):
+                    best[j] = wp.min(d, best[j])
+                else:
+                    best[j] = wp.where(d < best[j], d, best[j])
         return best
 
     return scan_packs

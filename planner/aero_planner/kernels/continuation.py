@@ -24,9 +24,9 @@ _LEAST_FLAT = wp.constant(0.2)
 """Cosine of the steepest elevation to which surfaces are continued."""
 _SAME_SURFACE = wp.constant(0.1)
 """Difference in horizontal distance from one row to the next within a surface, which may lean [m]."""
-_READ_WIDTH = wp.constant(16)
+READ_ROWS = wp.constant(16)
 """Cells of a column that are read together, so that a GPU waits for memory once for all of them."""
-_Surfaces = wp.types.matrix(shape=(_READ_WIDTH, 2), dtype=wp.float32)
+_Surfaces = wp.types.matrix(shape=(READ_ROWS, 2), dtype=wp.float32)
 
 
 @wp.func
@@ -100,9 +100,9 @@ def find_edges(tuning: KernelTuning) -> wp.Kernel:
         """Find the surfaces at the lower (0) and the upper (1) edge of the field of view, and beyond.
 
         `surfaces` are the horizontal distance, infinite without a surface, and the height above the drone [m], for each
-        cell of the world frame. A surface counts if it was at the edge `view_age` ago, at the attitude
-        `view_quaternion`: what has come into view since may not have been measured yet. Launched over [B, threads], see
-        `cells_of_thread`.
+        cell of the world frame, at its `place_of_cell`. A surface counts if it was at the edge `view_age` ago, at the
+        attitude `view_quaternion`: what has come into view since may not have been measured yet. Launched over
+        [B, threads], see `cells_of_thread`.
         """
         b, thread = wp.tid()
         c = params[b]
@@ -130,16 +130,16 @@ def find_edges(tuning: KernelTuning) -> wp.Kernel:
                     lower = surface
                 if wp.max(now, then) >= highest:
                     upper = surface
-            surfaces[b, 0, first + j] = lower
-            surfaces[b, 1, first + j] = upper
+            surfaces[b, 0, place_of_cell(first + j, 0, rows, columns)] = lower
+            surfaces[b, 1, place_of_cell(first + j, 1, rows, columns)] = upper
 
-    return find_edges
+    return tuning.set_options(find_edges)
 
 
 @wp.func
-def row_of_step(step: int, side: int, rows: int) -> int:
-    """Return the row at a step of the way down from the top (0) or up from the bottom (1)."""
-    return wp.where(side == 0, rows - 1 - step, step)
+def place_of_cell(cell: int, side: int, rows: int, columns: int) -> int:
+    """Return the place of a cell in the order of the search: down from the top (0) or up from the bottom (1)."""
+    return wp.where(side == 0, rows * columns - 1 - cell, cell)
 
 
 @wp.kernel
@@ -156,7 +156,8 @@ def find_nearest_surfaces(
 ):
     """Replace the surface of each cell by the nearest one above it (0) or below it (1), of which the last part counts.
 
-    Launched over [B, 2, columns / workers, rounded up]; a thread walks down a column, or up.
+    `surfaces` has room for whole multiples of READ_ROWS rows. Launched over [B, 2, columns / workers, rounded up]; a
+    thread walks down a column, or up.
     """
     b, side, i = wp.tid()
     column = i * workers + worker
@@ -164,15 +165,13 @@ def find_nearest_surfaces(
         return
     nearest = wp.vec2(wp.INF, 0.0)
     read = _Surfaces()
-    for first in range(0, rows, _READ_WIDTH):
-        for j in range(_READ_WIDTH):
-            row = row_of_step(wp.min(first + j, rows - 1), side, rows)
-            read[j] = surfaces[b, side, row * columns + column]
-        for j in range(_READ_WIDTH):
-            if first + j < rows:
-                if read[j, 0] < nearest[0] + _SAME_SURFACE:
-                    nearest = wp.vec2(read[j, 0], read[j, 1])
-                surfaces[b, side, row_of_step(first + j, side, rows) * columns + column] = nearest
+    for first in range(0, rows, READ_ROWS):
+        for j in range(READ_ROWS):
+            read[j] = surfaces[b, side, (first + j) * columns + column]
+        for j in range(READ_ROWS):
+            if read[j, 0] < nearest[0] + _SAME_SURFACE:
+                nearest = wp.vec2(read[j, 0], read[j, 1])
+            surfaces[b, side, (first + j) * columns + column] = nearest
 
 
 @functools.cache
@@ -223,7 +222,7 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
             limit = wp.where(side == 0, c.continue_below, c.continue_above)
             flat = wp.sqrt(dx[j] * dx[j] + dy[j] * dy[j])
             if limit > 0.0 and flat >= _LEAST_FLAT:
-                surface = surfaces[b, side, sources[j]]
+                surface = surfaces[b, side, place_of_cell(sources[j], side, rows, columns)]
                 distance = surface[0] / flat
                 depth = surface[1] - distance * dz[j]
                 is_near = distance <= range_max and wp.where(side == 0, depth, -depth) <= limit
@@ -232,4 +231,4 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
                     filtered_points[b, cell] = origin + distance * wp.vec3(dx[j], dy[j], dz[j])
                     occupied[b, cell] = 2
 
-    return continue_surfaces
+    return tuning.set_options(continue_surfaces)

@@ -220,6 +220,7 @@ def braking_angle(candidate: int, params: Params) -> float:
 def make_guides(tuning: KernelTuning) -> wp.Kernel:
     """Return the kernel that makes the guides, with `tuning.threads_per_instance` threads per instance."""
     LANES = wp.constant(tuning.threads_per_instance)
+    refine = safe_anchor(tuning.threads_per_instance)
 
     @wp.kernel(module="unique", enable_backward=False)
     def make_guides(
@@ -276,8 +277,8 @@ def make_guides(tuning: KernelTuning) -> wp.Kernel:
         period = wp.where(since > 0.0, since, c.replan_period)
         is_stop = m == instances + BRAKING_CANDIDATES - 1
         if m < anchor_count:
-            p1 = safe_anchor(
-                b, m, p0, q0, c, fine_cells, coarse_rows, coarse_columns, fine_range, directions,
+            p1 = refine(
+                b, m, lane, p0, q0, c, fine_cells, coarse_rows, coarse_columns, fine_range, directions,
                 lookahead, clip_guides[b], initial_directions,
             )  # fmt: skip
             v1 = c.arrival_speed * wp.normalize(p1 - p0)

@@ -14,8 +14,8 @@ _FEW_DRONES = 2
 """Largest batch that leaves a GPU idle threads."""
 
 
-_SCAN_THREADS = 2**18
-"""Threads that scan the cloud, as many as a large GPU runs at once."""
+_SCAN_THREADS = 2**15
+"""Threads that scan the cloud. More of them, each with its own preparation, are no faster on an H100."""
 _FEWEST_SCAN_THREADS = 512
 """Fewest threads that share a sweep."""
 
@@ -43,17 +43,20 @@ class KernelTuning(NamedTuple):
     """Threads that share the clearance query of one Stage II position; there are fewer of those."""
     threads_per_stop_query: int = 1
     """Threads that share the clearance query of one position of a stop; there are many of those."""
+    duplicate_rows: int = 0
+    """1 if the grid of points stores each point in the neighbouring rows as well, else 0."""
     is_cuda: bool = False
 
     def for_batch(self, batch: int) -> KernelTuning:
-        """Return the tuning for `batch` drones: many drones leave no idle threads to share a query."""
-        if batch <= _FEW_DRONES:
+        """Return the tuning for `batch` drones: many drones leave a GPU no idle threads to share a query."""
+        if batch <= _FEW_DRONES or not self.is_cuda:
             return self
         return self._replace(
             threads_per_update=min(self.threads_per_update, 128),
             threads_per_sample_query=1,
             threads_per_query=1,
             threads_per_stop_query=1,
+            duplicate_rows=0,
         )
 
     def threads_per_sweep(self, sweeps: int, points: int) -> int:
@@ -81,12 +84,13 @@ class KernelTuning(NamedTuple):
 
 
 CPU = KernelTuning(
-    points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=64
+    points_per_thread=64, samples_per_thread=32, points_per_pack=16, samples_per_read=32, cells_per_thread=64,
+    duplicate_rows=1,
 )  # fmt: skip
 """Sizes that LLVM turns into vector instructions."""
 CUDA = KernelTuning(
     points_per_thread=1, samples_per_thread=1, points_per_pack=4, samples_per_read=4, cells_per_thread=1,
     threads_per_update=512, threads_per_instance=32, threads_per_sample_query=2, threads_per_query=32,
-    threads_per_stop_query=8, is_cuda=True,
+    threads_per_stop_query=8, duplicate_rows=1, is_cuda=True,
 )  # fmt: skip
 """One point or sample per thread, and 16-byte loads of points and samples."""

@@ -44,8 +44,10 @@ each other, and the same combination recurs only after thousands of plans."""
 NOISE_STEP = wp.constant(64)
 """The first sequence is a multiple of this number, which the samples per thread divide."""
 
-READ_AHEAD = wp.constant(5)
-"""Costs, and control values, that are read together, so that a GPU waits for memory less often."""
+READ_AHEAD = wp.constant(7)
+"""Control values that are read together, so that a GPU waits for memory less often."""
+COSTS_READ = wp.constant(9)
+"""Costs of a sample that are read together, for the same reason."""
 
 Values: Any = wp.types.vector(length=READ_AHEAD, dtype=wp.float32)
 
@@ -250,9 +252,10 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
 def update_controls(tuning: KernelTuning) -> wp.Kernel:
     """Return the kernel that completes S1 and updates the nominal controls, with a thread block per instance."""
     lanes = min(tuning.threads_per_update, 32)
-    THREADS, LANES = wp.constant(tuning.threads_per_update), wp.constant(lanes)
+    shares = 4 if tuning.is_cuda else 1  # threads that share the costs of one sample
+    THREADS, LANES, SHARES = wp.constant(tuning.threads_per_update), wp.constant(lanes), wp.constant(shares)
     WIDTH = wp.constant(tuning.samples_per_read)
-    block_minimum, warp_sum = minimum_over(tuning.threads_per_update), sum_over(lanes)
+    block_minimum, warp_sum, sum_of_shares = minimum_over(tuning.threads_per_update), sum_over(lanes), sum_over(shares)
     Reals: Any = wp.types.vector(length=tuning.samples_per_read, dtype=wp.float32)
     Sums: Any = wp.types.matrix(shape=(READ_AHEAD, tuning.samples_per_read), dtype=wp.float32)
     read = read_values(tuning.samples_per_read)
@@ -297,7 +300,8 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         steps = values // 4
         rows = wp.where(params[b].q_blocked > 0.0, sample_clearance_cost.shape[1], steps)
         lowest = float(wp.INF)
-        for k in range(thread, samples, THREADS):
+        share = thread % SHARES
+        for k in range(thread // SHARES, samples, THREADS // SHARES):
             S = stage1_cost[i, k]
             end = wp.vec3(
                 sample_positions[i, steps - 1, 0, k],
@@ -306,21 +310,24 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
             )
             J_col = float(0.0)
             blocked = float(0.0)
-            for t in range(0, rows, READ_AHEAD):
-                for j in range(READ_AHEAD):
-                    term = wp.where(t + j < rows, sample_clearance_cost[i, wp.min(t + j, rows - 1), k], 0.0)
-                    if t + j < steps:
+            for first in range(share, rows, SHARES * COSTS_READ):
+                for j in range(COSTS_READ):
+                    t = first + j * SHARES
+                    term = wp.where(t < rows, sample_clearance_cost[i, wp.min(t, rows - 1), k], 0.0)
+                    if t < steps:
                         J_col += term
                     else:
                         blocked += term
-            S += J_col
-            if params[b].q_blocked > 0.0:
-                S += blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), params[b])
-            S += escape_cost(end, b, escape, params[b])
-            stage1_cost[i, k] = S
-            lowest = wp.min(lowest, S)
+            S += sum_of_shares(J_col)
+            blocked = sum_of_shares(blocked)
+            if share == 0:  # one of the threads completes the cost, and uses it below
+                if params[b].q_blocked > 0.0:
+                    S += blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), params[b])
+                S += escape_cost(end, b, escape, params[b])
+                stage1_cost[i, k] = S
+                lowest = wp.min(lowest, S)
         lowest = block_minimum(lowest)
-        for k in range(thread, samples, THREADS):
+        for k in range(wp.where(share == 0, thread // SHARES, samples), samples, THREADS // SHARES):
             sample_weights[i, k] = wp.exp((lowest - stage1_cost[i, k]) / params[b].temperature)
         synchronize_block()
         # Each warp sums READ_AHEAD values at a time; its lanes read neighbouring samples.

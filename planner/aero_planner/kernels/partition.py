@@ -5,7 +5,7 @@ equal angles; row 0 points straight down, column 0 backward (a = -180 deg). A co
 fine cells.
 """
 
-from __future__ import annotations
+# Postponed annotations are left out: functions made for a tuning refer to local types.
 
 import functools
 
@@ -17,7 +17,7 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.shells import SHELLS, last_shell
 from aero_planner.kernels.wakes import forgets_wakes, is_in_wake
-from aero_planner.kernels.warp_ops import add_count
+from aero_planner.kernels.warp_ops import add_count, minimum_over
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,6 +51,8 @@ def cell_direction(row: int, column: int, rows: int, columns: int) -> wp.vec3:
     return wp.vec3(c * wp.cos(azimuth), c * wp.sin(azimuth), wp.sin(elevation))
 
 
+_SAME_COSINE = wp.constant(1.0e-6)
+"""Difference between the cosines of directions that count as equal."""
 NEAR_EDGE = wp.constant(-1)
 OUT_OF_RANGE = wp.constant(-2)
 """Markers that `scatter_points` stores instead of a cell number."""
@@ -97,19 +99,22 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         oldest = cloud.oldest[0]
         ordered = cloud.is_ordered[sweep] != 0
         origin = position[b]
-        q = wp.normalize(quaternion[b])
-        forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
-        left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
-        up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
-        range_min = params[b].range_min
         range_max = farthest(params[b])
-        wake_count = wp.where(forgets_wakes(params[b]), cloud.wake_count[b, sweep], 0)
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])
             count = cloud.shell_ends[counters, last]
             if worker + thread == 0:
                 wp.atomic_add(worker_dropped, worker, b, cloud.shell_ends[counters, SHELLS])
+        groups = (count + WIDTH - 1) // WIDTH
+        if worker + thread >= groups:
+            return
+        q = wp.normalize(quaternion[b])
+        forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
+        left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
+        up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
+        range_min = params[b].range_min
+        wake_count = wp.where(forgets_wakes(params[b]), cloud.wake_count[b, sweep], 0)
         range_squared = 1.0001 * range_max * range_max  # with a margin for rounding
         dx = Reals()
         dy = Reals()
@@ -118,7 +123,6 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         range_bits = Integers()
         cell_of = Integers()
         waiting = int(0)
-        groups = (count + WIDTH - 1) // WIDTH
         for group in range(worker + thread, groups, stride):
             if wp.static(tuning.is_cuda):
                 waiting = int(0)  # it is 0 already; a constant index keeps the point in registers
@@ -149,8 +153,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                     y = wp.dot(left, d)
                     z = wp.dot(up, d)
                     r = wp.sqrt(wp.dot(d, d))
-                    row = (near_atan2(z, wp.sqrt(x * x + y * y)) / wp.PI + 0.5) * float(rows)
-                    column = (near_atan2(y, x) / (2.0 * wp.PI) + 0.5) * float(columns)
+                    row = (near_atan2(z, wp.sqrt(x * x + y * y)) * (1.0 / wp.PI) + 0.5) * float(rows)
+                    column = (near_atan2(y, x) * (0.5 / wp.PI) + 0.5) * float(columns)
                     off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
                     cell = int(wp.floor(row)) * columns + int(wp.floor(column))
                     cell = wp.where(off_center > 0.4999, NEAR_EDGE, cell)
@@ -246,47 +250,62 @@ def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
     directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
 
 
-READ_WIDTH = wp.constant(16)
-"""Fine cells that are read together, so that a GPU waits for memory once for all of them."""
+@functools.cache
+def safest_fine_cell(lanes: int) -> wp.Function:
+    """Return the function that finds the safe direction of a coarse cell, which `lanes` lanes of a warp share."""
+    LANES = wp.constant(lanes)
+    # Cells that a lane reads together, so that a GPU waits for memory once for all of them.
+    WIDTH = wp.constant(max(16 // lanes, 2))
+    minimum = minimum_over(lanes)
+    Reals = wp.types.vector(length=max(16 // lanes, 2), dtype=wp.float32)
 
-Reals = wp.types.vector(length=READ_WIDTH, dtype=wp.float32)
+    @wp.func
+    def safest_fine_cell(
+        fine_range: wp.array2d(dtype=float),
+        directions: wp.array2d(dtype=wp.vec3),
+        b: int,
+        lane: int,
+        coarse_row: int,
+        coarse_column: int,
+        fine_cells: int,
+        toward: wp.vec3,
+    ):
+        """Return the largest range in a coarse cell and its direction; among equal ranges that nearest to `toward`."""
+        columns = directions.shape[1]
+        best_range = float(-1.0)
+        best_cosine = float(-2.0)
+        best_cell = int(0)
+        r = Reals()
+        cosine = Reals()
+        cells = fine_cells * fine_cells
+        for first in range(lane, cells, LANES * WIDTH):
+            for k in range(WIDTH):
+                # Past the end the first cell is read again, which changes nothing.
+                i = wp.where(first + k * LANES < cells, first + k * LANES, first)
+                row = coarse_row * fine_cells + i // fine_cells
+                column = coarse_column * fine_cells + i % fine_cells
+                r[k] = fine_range[b, row * columns + column]
+                cosine[k] = wp.dot(directions[row, column], toward)
+            for k in range(WIDTH):
+                # The margin makes the first of several equally near cells win in spite of rounding.
+                if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + _SAME_COSINE):
+                    best_range = r[k]
+                    best_cosine = cosine[k]
+                    best_cell = first + k * LANES
+        if wp.static(lanes > 1):
+            largest = -minimum(-best_range)
+            nearest = -minimum(wp.where(best_range == largest, -best_cosine, wp.INF))
+            is_best = best_range == largest and best_cosine >= nearest - _SAME_COSINE
+            best_cell = int(minimum(wp.where(is_best, float(best_cell), wp.INF)))
+            best_range = largest
+        row = coarse_row * fine_cells + best_cell // fine_cells
+        best_direction = directions[row, coarse_column * fine_cells + best_cell % fine_cells]
+        return best_range, best_direction
+
+    return safest_fine_cell
 
 
-@wp.func
-def safest_fine_cell(
-    fine_range: wp.array2d(dtype=float),
-    directions: wp.array2d(dtype=wp.vec3),
-    b: int,
-    coarse_row: int,
-    coarse_column: int,
-    fine_cells: int,
-    toward: wp.vec3,
-):
-    """Return the largest range in a coarse cell, and its direction; among equal ranges the one nearest to `toward`."""
-    columns = directions.shape[1]
-    best_range = float(-1.0)
-    best_cosine = float(-2.0)
-    best_cell = int(0)
-    r = Reals()
-    cosine = Reals()
-    cells = fine_cells * fine_cells
-    for first in range(0, cells, READ_WIDTH):
-        for k in range(READ_WIDTH):
-            # Past the end the last cell is read again, which changes nothing.
-            i = wp.min(first + k, cells - 1)
-            row = coarse_row * fine_cells + i // fine_cells
-            column = coarse_column * fine_cells + i % fine_cells
-            r[k] = fine_range[b, row * columns + column]
-            cosine[k] = wp.dot(directions[row, column], toward)
-        for k in range(READ_WIDTH):
-            # The margin makes the first of several equally near cells win in spite of rounding.
-            if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + 1.0e-6):
-                best_range = r[k]
-                best_cosine = cosine[k]
-                best_cell = wp.min(first + k, cells - 1)
-    row = coarse_row * fine_cells + best_cell // fine_cells
-    best_direction = directions[row, coarse_column * fine_cells + best_cell % fine_cells]
-    return best_range, best_direction
+_safest = safest_fine_cell(1)
 
 
 @wp.kernel
@@ -317,8 +336,6 @@ def pool_coarse(
         row, column = cell_of_direction(d, coarse_rows, coarse_columns)
         if row == coarse_row and column == coarse_column:
             toward = d
-    best_range, best_direction = safest_fine_cell(
-        fine_range, directions, b, coarse_row, coarse_column, fine_cells, toward
-    )
+    best_range, best_direction = _safest(fine_range, directions, b, 0, coarse_row, coarse_column, fine_cells, toward)
     safe_range[b, cell] = best_range
     safe_direction[b, cell] = best_direction

@@ -253,102 +253,108 @@ def score_instances(tuning: KernelTuning) -> wp.Kernel:
     return tuning.set_options(score_instances)
 
 
-@wp.kernel
-def commit_plan(
-    # problem
-    time: wp.array(dtype=wp.float64),
-    position: wp.array(dtype=wp.vec3),
-    goal_position: wp.array(dtype=wp.vec3),
-    cloud_age: wp.array(dtype=float),
-    control: wp.array(dtype=wp.vec4),
-    # configuration
-    params: wp.array(dtype=Params),
-    instances: int,
-    brake_index: int,
-    # in
-    waypoints: wp.array2d(dtype=wp.vec3),
-    standing_clearance: wp.array3d(dtype=float),
-    instance_scores: wp.array2d(dtype=wp.vec3),
-    plan_period: wp.array(dtype=float),
-    stop_ready: wp.array(dtype=int),
-    stop_command: wp.array(dtype=wp.vec4),
-    stop_controls: wp.array3d(dtype=wp.vec4),
-    stop_clearance: wp.array2d(dtype=float),
-    # in and out
-    guides: GuideSet,
-    rollouts: Rollouts,
-    costs: InstanceCosts,
-    clearance: wp.array3d(dtype=float),
-    tick: wp.array(dtype=int),
-    escape: Escape,
-    # out
-    best: wp.array(dtype=int),
-    status: wp.array(dtype=int),
-    braking_instance: wp.array(dtype=int),
-    previous: PreviousPlan,
-):
-    """Select the best instance, replace it by a braking candidate if needed, and keep what the next plan starts from.
+@functools.cache
+def commit_plan(tuning: KernelTuning) -> wp.Kernel:
+    """Return the kernel that selects the best instance, with `tuning.threads_per_instance` lanes per drone."""
+    LANES = wp.constant(tuning.threads_per_instance)
+    select = select_best(tuning)
 
-    Launched over [B, N + 1]. The thread of every time step selects for itself; the first one writes the result.
-    """
-    b, t = wp.tid()
-    steps = rollouts.controls.shape[2]
-    start_clearance = standing_clearance[b, 0, standing_clearance.shape[2] - 1]
-    c = params[b]
-    m, flown, replaced, outcome, stop = select_best(
-        b, instances, brake_index, start_clearance, cloud_age[b], c, stop_ready[b], instance_scores, stop_clearance
-    )
-    if t == 0:
+    @wp.kernel(module="unique", enable_backward=False)
+    def commit_plan(
+        # problem
+        time: wp.array(dtype=wp.float64),
+        position: wp.array(dtype=wp.vec3),
+        goal_position: wp.array(dtype=wp.vec3),
+        cloud_age: wp.array(dtype=float),
+        control: wp.array(dtype=wp.vec4),
+        # configuration
+        params: wp.array(dtype=Params),
+        instances: int,
+        brake_index: int,
+        # in
+        waypoints: wp.array2d(dtype=wp.vec3),
+        standing_clearance: wp.array3d(dtype=float),
+        instance_scores: wp.array2d(dtype=wp.vec3),
+        plan_period: wp.array(dtype=float),
+        stop_ready: wp.array(dtype=int),
+        stop_command: wp.array(dtype=wp.vec4),
+        stop_controls: wp.array3d(dtype=wp.vec4),
+        stop_clearance: wp.array2d(dtype=float),
+        # in and out
+        guides: GuideSet,
+        rollouts: Rollouts,
+        costs: InstanceCosts,
+        clearance: wp.array3d(dtype=float),
+        tick: wp.array(dtype=int),
+        escape: Escape,
+        # out
+        best: wp.array(dtype=int),
+        status: wp.array(dtype=int),
+        braking_instance: wp.array(dtype=int),
+        previous: PreviousPlan,
+    ):
+        """Select the best instance, replace it by a braking candidate if needed, and keep what the next plan needs.
+
+        Launched over [B, LANES]. The lanes share the time steps; the first one writes what has none.
+        """
+        b, lane = wp.tid()
+        steps = rollouts.controls.shape[2]
+        proven = rollouts.controls.shape[1] - 1  # row of the stop that was proven last
+        start_clearance = standing_clearance[b, 0, standing_clearance.shape[2] - 1]
+        c = params[b]
+        m, flown, replaced, outcome, stop = select(
+            b, lane, instances, brake_index, start_clearance, cloud_age[b], c, stop_ready[b], instance_scores,
+            stop_clearance,
+        )  # fmt: skip
+        switch = steps
+        if replaced < 0:
+            switch = switch_step(stop, steps, plan_period[b], c)
+        hover = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+        for t in range(lane, steps + 1, LANES):
+            flown_control = rollouts.controls[b, flown, wp.min(t, steps - 1)]
+            if t == 0 and flown == proven:
+                # What is flown until the next plan is the stop itself; its rollout has the mean over the time step.
+                flown_control = stop_command[b]
+            if replaced >= 0:
+                guides.positions[b, m, t] = guides.positions[b, flown, t]
+                rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
+                rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
+                rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
+            if t < steps:
+                previous.controls[b, t] = flown_control
+                if replaced >= 0:
+                    rollouts.controls[b, m, t] = flown_control
+                    clearance[b, m, t] = clearance[b, flown, t]
+                if c.prove_stop != 0 and flown != proven:
+                    # Keep the controls of the stop, of twice the length of the horizon.
+                    for half in range(2):
+                        k = t + half * steps
+                        kept = hover
+                        if k < switch:
+                            kept = rollouts.controls[b, flown, k]
+                        elif replaced < 0 and k - switch < steps:
+                            kept = stop_controls[b, m * STOPS + stop, k - switch]
+                        previous.stop[b, k] = kept
+        if lane > 0:
+            return
         best[b] = m
         status[b] = outcome
         braking_instance[b] = replaced
-    flown_control = rollouts.controls[b, flown, wp.min(t, steps - 1)]
-    if t == 0 and flown == rollouts.controls.shape[1] - 1:
-        # What is flown until the next plan is the stop itself; its rollout has the mean over the time step.
-        flown_control = stop_command[b]
-    if replaced >= 0:
-        guides.positions[b, m, t] = guides.positions[b, flown, t]
-        rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
-        rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
-        rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
-        if t < steps:
-            rollouts.controls[b, m, t] = flown_control
-            clearance[b, m, t] = clearance[b, flown, t]
-        if t == 0:
+        if replaced >= 0:
             guides.anchors[b, m] = guides.anchors[b, flown]
             costs.goal_cost[b, m] = costs.goal_cost[b, flown]
             costs.collision_cost[b, m] = costs.collision_cost[b, flown]
             costs.stage2_cost[b, m] = costs.stage2_cost[b, flown]
             for i in range(6):
                 guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
-    if t == 0:
         previous.start_control[b] = control[b]
         if c.prove_stop == 0:
             previous.stop_age[b] = wp.INF
-    if c.prove_stop != 0 and t < steps:
-        # Keep the controls of the stop, of twice the length of the horizon.
-        hover = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
-        switch = steps
-        if replaced < 0:
-            switch = switch_step(stop, steps, plan_period[b], c)
-        if flown == rollouts.controls.shape[1] - 1:
-            if t == 0:
-                previous.stop_age[b] = previous.stop_age[b] + plan_period[b]
+        elif flown == proven:
+            previous.stop_age[b] = previous.stop_age[b] + plan_period[b]
         else:
-            for half in range(2):
-                k = t + half * steps
-                kept = hover
-                if k < switch:
-                    kept = rollouts.controls[b, flown, k]
-                elif replaced < 0 and k - switch < steps:
-                    kept = stop_controls[b, m * STOPS + stop, k - switch]
-                previous.stop[b, k] = kept
-            if t == 0:
-                previous.stop_age[b] = 0.0
-    if t < steps:
-        previous.controls[b, t] = flown_control
-    else:
-        previous.end[b] = rollouts.positions[b, flown, t]
+            previous.stop_age[b] = 0.0
+        previous.end[b] = rollouts.positions[b, flown, steps]
         waypoint = waypoints[b, flown]
         previous.waypoint[b] = wp.where(waypoint == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), waypoint)
         tick[b] = tick[b] + 1
@@ -360,4 +366,6 @@ def commit_plan(
             before = previous.time[b]
             if wp.isnan(before):
                 before = wp.float64(0.0)
-            previous.time[b] = before + wp.float64(params[b].replan_period)
+            previous.time[b] = before + wp.float64(c.replan_period)
+
+    return tuning.set_options(commit_plan)

@@ -66,6 +66,17 @@ def read_lane(x: float, lane: int) -> float:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __shfl_sync(0xffffffffu, x, lane);
+#endif
+    return x;
+""")
+def read_lane_integer(x: int, lane: int) -> int:
+    """Return the value of x in one lane of the warp, like `read_lane`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 """)
@@ -150,7 +161,8 @@ _FourPoints: Any = point_pack(4)
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    const float4* rows = reinterpret_cast<const float4*>(wp::address(packs, b, k));
+    // The last axis is contiguous. Its stride is not known to the compiler, which would multiply by it in 64 bits.
+    const float4* rows = reinterpret_cast<const float4*>(wp::address(packs, b, 0)) + 3 * k;
     wp::mat_t<3, 4, wp::float32> pack;
     for (int i = 0; i < 3; ++i) {
         const float4 row = __ldg(rows + i);
@@ -168,7 +180,7 @@ def read_four_points(packs: wp.array2d(dtype=_FourPoints), b: int, k: int) -> _F
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
-    const float4 x = __ldg(reinterpret_cast<const float4*>(wp::address(values, i, j, k)));
+    const float4 x = __ldg(reinterpret_cast<const float4*>(wp::address(values, i, j, 0)) + k);
     return wp::vec_t<4, wp::float32>(x.x, x.y, x.z, x.w);
 #else
     return wp::load(wp::address(values, i, j, k));

@@ -79,7 +79,7 @@ def test_kernels_are_for_the_requested_processors(bundle: Path):
         {re.sub(r"_[0-9a-f]{7}.*", "", path.name) for path in paths} for paths in (cubins, bundle.glob("kernels/*/*.o"))
     )
     only_on_cpu = {f"wp_{name}__locals__{name}" for name in ("prove_stops", "query_sample_vectors")}
-    named = {"wp_aero_planner.kernels.mppi", "wp_aero_planner.kernels.selection"}
+    named = {"wp_aero_planner.kernels.mppi", "wp_aero_planner.kernels.partition"}
     assert on_cuda | only_on_cpu >= on_cpu > named | only_on_cpu
     assert {path.suffix for path in bundle.glob("kernels/*/*")} == {".cubin", ".o", ".meta"}  # no sources
 

@@ -1,9 +1,15 @@
+# Postponed annotations are left out: kernels made for a tuning refer to local types.
+
+import functools
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 
 from aero_planner import Plan, Planner, PlanStatus, Sweeps, VehicleState
 from aero_planner.kernels.best_instance import select_best
+from aero_planner.kernels.kernel_tuning import CPU, CUDA, KernelTuning
 from aero_planner.kernels.params import Params
 from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
@@ -115,33 +121,45 @@ def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, cou
         np.testing.assert_array_equal(plan.command, plan.controls[plan.best])
 
 
-@wp.kernel
-def select_kernel(
-    instances: int,
-    params: wp.array(dtype=Params),
-    instance_scores: wp.array2d(dtype=wp.vec3),
-    stop_clearance: wp.array2d(dtype=float),
-    choice: wp.array(dtype=int),
-):
-    best, flown, replaced, status, stop = select_best(
-        0, instances, 0, 1.0, 0.0, params[0], 1, instance_scores, stop_clearance
-    )
-    choice[0] = best
-    choice[1] = flown
-    choice[2] = replaced
-    choice[3] = status
-    choice[4] = stop
+@functools.cache
+def select_kernel(tuning: KernelTuning) -> Any:
+    select = select_best(tuning)
+
+    @wp.kernel(module="unique")
+    def select_kernel(
+        instances: int,
+        params: wp.array(dtype=Params),
+        instance_scores: wp.array2d(dtype=wp.vec3),
+        stop_clearance: wp.array2d(dtype=float),
+        choice: wp.array2d(dtype=int),
+    ):
+        lane = wp.tid()
+        best, flown, replaced, status, stop = select(
+            0, lane, instances, 0, 1.0, 0.0, params[0], 1, instance_scores, stop_clearance
+        )
+        choice[lane, 0] = best
+        choice[lane, 1] = flown
+        choice[lane, 2] = replaced
+        choice[lane, 3] = status
+        choice[lane, 4] = stop
+
+    return select_kernel
 
 
 def select(planner: Planner, scores: list[tuple[float, float, float]], stops: np.ndarray) -> list[int]:
     """Return instance, row, replaced instance, status and stop that `select_best` returns; `stops` is [M, STOPS]."""
-    choice = wp.empty(5, dtype=int, device=planner.device)
+    tuning = CUDA if wp.get_device(planner.device).is_cuda else CPU
+    lanes = tuning.threads_per_instance
+    choices = wp.empty((lanes, 5), dtype=int, device=planner.device)
     arrays = [
         wp.array([scores], dtype=wp.vec3, device=planner.device),
         wp.array(stops.reshape(1, -1), dtype=float, device=planner.device),
     ]
-    wp.launch(select_kernel, 1, inputs=[len(stops), planner.params, *arrays], outputs=[choice], device=planner.device)
-    return choice.numpy().tolist()
+    inputs = [len(stops), planner.params, *arrays]
+    wp.launch(select_kernel(tuning), lanes, inputs=inputs, outputs=[choices], device=planner.device, block_dim=32)
+    first, *others = choices.numpy().tolist()
+    assert all(choice == first for choice in others)
+    return first
 
 
 @pytest.mark.parametrize(
