@@ -252,12 +252,12 @@ class FlightBatch:
             stream = self.simulator.device.stream
             started, ended = (wp.Event(self.simulator.device, enable_timing=True) for _ in range(2))
             stream.record_event(started)
-            self.planner.launch()
+            self.planner.launch(finished=self.simulator.outcome)
             stream.record_event(ended)
             self._pending.append((started, ended))
         else:
             started = time.perf_counter()
-            self.planner.launch()
+            self.planner.launch(finished=self.simulator.outcome)
             self._plan_ms.append(1e3 * (time.perf_counter() - started))
 
     def _collect_times(self) -> None:

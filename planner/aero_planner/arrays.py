@@ -159,6 +159,7 @@ class PlannerOutputs:
 class Workspace:
     """Intermediate results, tables and the state that the planner carries from plan to plan."""
 
+    finished: wp.array = array(wp.int32, "B", "", "Other than 0 for drones for which nothing is planned.")
     position: wp.array = array(wp.vec3, "B", "m", "Position at which the plan takes effect, world frame.")
     velocity: wp.array = array(wp.vec3, "B", "m/s", "Velocity there, world frame.")
     quaternion: wp.array = array(wp.vec4, "B", "", "Attitude there, normalised, w x y z, body to world.")

@@ -51,7 +51,7 @@ class CloudStages:
                 partition.scatter_points(self._tuning),
                 (B, sweeps, threads),
                 inputs=[
-                    worker, threads * self._sizes.W, cloud.bundle(), i.position, i.quaternion, self._params,
+                    worker, threads * self._sizes.W, w.finished, cloud.bundle(), i.position, i.quaternion, self._params,
                     self._sizes.F0, self._sizes.F1,
                 ],
                 outputs=[w.cell_keys, w.worker_dropped],

@@ -206,7 +206,7 @@ class Pipeline(LaunchSequence):
             mppi.sample_rollouts(self._tuning),
             (count, sizes.L // width),
             inputs=[
-                first, sizes.M, self._previous_index, r.drone, r.goal, self._params, w.seed, w.tick,
+                first, sizes.M, self._previous_index, w.finished, r.drone, r.goal, self._params, w.seed, w.tick,
                 as_vectors(w.noise, width), o.guides, w.waypoints, w.nominal_controls,
             ],
             outputs=[
@@ -223,8 +223,8 @@ class Pipeline(LaunchSequence):
                 sample_clearance.query_sample_vectors(self._tuning),
                 (count, sizes.Q),
                 inputs=[
-                    first, sizes.M, sizes.N, i.position, i.ground_height, r.movers, self._params, w.cell_ends,
-                    w.point_packs, as_vectors(w.sample_positions, self._tuning.samples_per_thread),
+                    first, sizes.M, sizes.N, w.finished, i.position, i.ground_height, r.movers, self._params,
+                    w.cell_ends, w.point_packs, as_vectors(w.sample_positions, self._tuning.samples_per_thread),
                 ],
                 outputs=[w.sample_clearance_cost],
             )  # fmt: skip
@@ -232,8 +232,8 @@ class Pipeline(LaunchSequence):
             sample_clearance.query_clearance(self._batch_tuning),
             (count, sizes.Q, sizes.K * self._batch_tuning.threads_per_sample_query),
             inputs=[
-                first, sizes.M, sizes.N, i.position, i.ground_height, r.movers, self._params, self._duplicate_rows,
-                w.cell_ends, w.point_packs, w.sample_positions,
+                first, sizes.M, sizes.N, w.finished, i.position, i.ground_height, r.movers, self._params,
+                self._duplicate_rows, w.cell_ends, w.point_packs, w.sample_positions,
             ],
             outputs=[w.sample_clearance_cost],
             block_dim=128,
@@ -247,7 +247,7 @@ class Pipeline(LaunchSequence):
             mppi.update_controls(self._batch_tuning),
             (count, threads),
             inputs=[
-                first, sizes.M, i.goal_position, self._params, r.escape, w.waypoints,
+                first, sizes.M, w.finished, i.goal_position, self._params, r.escape, w.waypoints,
                 as_scalars(w.nominal_controls), sample_controls, w.sample_positions, w.sample_clearance_cost,
             ],
             outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
@@ -288,8 +288,8 @@ class Pipeline(LaunchSequence):
             selection.evaluate_states(self._batch_tuning),
             (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
             inputs=[
-                r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows, w.cell_ends,
-                w.point_packs, w.waypoints, r.rollouts,
+                w.finished, r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows,
+                w.cell_ends, w.point_packs, w.waypoints, r.rollouts,
             ],
             outputs=[o.clearance, w.state_terms, w.standing_clearance],
             block_dim=32,
@@ -313,9 +313,9 @@ class Pipeline(LaunchSequence):
             stop_proof.prove_stops(self._batch_tuning),
             (sizes.B,),
             inputs=[
-                r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M, sizes.Q - sizes.N,
-                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts, w.cell_ends,
-                w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores, w.stop_ready,
+                w.finished, r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M,
+                sizes.Q - sizes.N, self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts,
+                w.cell_ends, w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores, w.stop_ready,
             ],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
         )  # fmt: skip
@@ -325,7 +325,7 @@ class Pipeline(LaunchSequence):
         roll_out = self.record(
             stops.roll_out_stops(self._tuning),
             (sizes.B, sizes.M * sizes.J),
-            inputs=[r.drone, self._params, w.plan_period, r.rollouts],
+            inputs=[w.finished, r.drone, self._params, w.plan_period, r.rollouts],
             outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
             block_dim=32,
         )
@@ -333,7 +333,7 @@ class Pipeline(LaunchSequence):
             stop_proof.evaluate_stops(self._batch_tuning),
             (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_stop_query),
             inputs=[
-                i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
+                w.finished, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
                 self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends,
                 w.point_packs, w.stop_positions, w.state_terms, w.standing_clearance,
             ],

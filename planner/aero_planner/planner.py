@@ -275,12 +275,21 @@ class Planner:
         else:
             self.reset()
 
-    def launch(self) -> None:
+    def launch(self, *, finished: wp.array | None = None) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
 
         Nothing is copied to or from the host, and on CUDA the call returns before the plan is finished.
+
+        Args:
+            finished: int [B] on the device; drones with a value other than 0 are left out of this plan, to save its
+                time. What `outputs` and `command` hold for them means nothing. None plans for all drones.
         """
+        if finished is None:
+            self._pipeline.run()
+            return
+        wp.copy(self._work.finished, finished)
         self._pipeline.run()
+        self._work.finished.zero_()
 
     def plan(
         self,

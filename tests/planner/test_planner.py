@@ -183,6 +183,24 @@ def test_a_batch_equals_single_planners(device: str):
                 assert getattr(together, name)[b] == getattr(alone, name)
 
 
+def test_a_launch_leaves_out_finished_drones_and_plans_the_same_for_the_others(device: str):
+    config, cases = config_of(), [random_case(seed) for seed in range(3)]
+    planners = [Planner(config, device=device, batch=3) for _ in range(2)]
+    for planner in planners:
+        planner.plan(*batch_of(cases))
+    finished = wp.array([0, 1, 0], dtype=int, device=device)
+    for left_out, changed in ((finished, [True, False, True]), (None, [True, True, True])):
+        before = planners[0].outputs.stage1_cost.numpy().reshape(3, -1).copy()
+        planners[0].launch(finished=left_out)
+        planners[1].launch()
+        costs, all_costs = (planner.outputs.stage1_cost.numpy().reshape(3, -1) for planner in planners)
+        assert [bool(np.any(costs[b] != before[b])) for b in range(3)] == changed
+        commands, all_commands = (planner.command.numpy() for planner in planners)
+        for b in (0, 2):
+            np.testing.assert_array_equal(costs[b], all_costs[b])
+            np.testing.assert_array_equal(commands[b], all_commands[b])
+
+
 def test_each_drone_of_a_batch_may_have_its_own_configuration(device: str):
     case, planner = random_case(0), Planner(config_of("paper"), device=device, batch=2)
     configs = [config_of("paper", anchors__lookahead=length) for length in (2.0, 4.0)]

@@ -109,6 +109,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         instances: int,
         previous_index: int,
         # problem
+        finished: wp.array(dtype=int),
         drone: DroneState,
         goal: GoalState,
         # configuration
@@ -133,6 +134,8 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         offset, group = wp.tid()
         i = first_instance + offset
         b = i // instances
+        if finished[b] != 0:
+            return
         m = i % instances
         c = params[b]
         steps = sample_controls.shape[1]
@@ -266,6 +269,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         first_instance: int,
         instances: int,
         # problem
+        finished: wp.array(dtype=int),
         goal_position: wp.array(dtype=wp.vec3),
         # configuration
         params: wp.array(dtype=Params),
@@ -294,6 +298,8 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         offset, thread = wp.tid()
         i = first_instance + offset
         b = i // instances
+        if finished[b] != 0:
+            return
         m = i % instances
         samples = sample_clearance_cost.shape[2]
         values = sample_controls.shape[1]

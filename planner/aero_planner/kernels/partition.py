@@ -72,6 +72,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         worker: int,
         stride: int,
         # problem
+        finished: wp.array(dtype=int),
         cloud: CloudSweeps,
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
@@ -92,6 +93,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         `stride`-th group of WIDTH points of its sweep. Workers run at the same time, each on its own keys.
         """
         b, sweep, thread = wp.tid()
+        if finished[b] != 0:
+            return
         count = cloud.count[b, sweep]
         if count == 0:
             return

@@ -40,6 +40,7 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         instances: int,
         steps: int,
         # problem
+        finished: wp.array(dtype=int),
         position: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
         movers: Movers,
@@ -63,6 +64,8 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         thread = slot % THREADS
         i = first_instance + offset
         b = i // instances
+        if finished[b] != 0:
+            return
         c = params[b]
         if t >= steps and c.q_blocked == 0.0:
             return
@@ -101,6 +104,7 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
         instances: int,
         steps: int,
         # problem
+        finished: wp.array(dtype=int),
         position: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
         movers: Movers,
@@ -117,6 +121,8 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
         offset, t = wp.tid()
         i = first_instance + offset
         b = i // instances
+        if finished[b] != 0:
+            return
         c = params[b]
         if t >= steps and c.q_blocked == 0.0:
             return

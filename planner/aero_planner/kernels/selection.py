@@ -102,6 +102,7 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate_states(
         # problem
+        finished: wp.array(dtype=int),
         drone: DroneState,
         center: wp.array(dtype=wp.vec3),
         ground_height: wp.array(dtype=float),
@@ -127,6 +128,8 @@ def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
         what moves. Launched over [B, R, N + PROBES + N + 1, threads per query].
         """
         b, m, t, thread = wp.tid()
+        if finished[b] != 0:
+            return
         c = params[b]
         steps = rollouts.positions.shape[2] - 1
         x = rollouts.positions[b, m, wp.min(t + 1, steps)]

@@ -117,6 +117,7 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate_stops(
         # problem
+        finished: wp.array(dtype=int),
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
         ground_height: wp.array(dtype=float),
@@ -145,6 +146,8 @@ def evaluate_stops(tuning: KernelTuning) -> wp.Kernel:
         Launched over [B, stops, 4 N, threads per query].
         """
         b, i, row, thread = wp.tid()
+        if finished[b] != 0:
+            return
         c = params[b]
         if c.prove_stop == 0:
             return
@@ -173,6 +176,7 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def prove_stops(
         # problem
+        finished: wp.array(dtype=int),
         drone: DroneState,
         position: wp.array(dtype=wp.vec3),
         quaternion: wp.array(dtype=wp.vec4),
@@ -206,6 +210,8 @@ def prove_stops(tuning: KernelTuning) -> wp.Kernel:
         clearance. That of other stops is only known to be too small. Launched over [B].
         """
         b = wp.tid()
+        if finished[b] != 0:
+            return
         c = params[b]
         if c.prove_stop == 0:
             return

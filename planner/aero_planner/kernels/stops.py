@@ -204,6 +204,7 @@ def roll_out_stops(tuning: KernelTuning) -> wp.Kernel:
     @wp.kernel(module="unique", enable_backward=False)
     def roll_out_stops(
         # problem
+        finished: wp.array(dtype=int),
         drone: DroneState,
         # configuration
         params: wp.array(dtype=Params),
@@ -217,6 +218,8 @@ def roll_out_stops(tuning: KernelTuning) -> wp.Kernel:
     ):
         """Roll out the braking manoeuvre of every stop. Launched over [B, stops]."""
         b, i = wp.tid()
+        if finished[b] != 0:
+            return
         c = params[b]
         if c.prove_stop == 0:
             return

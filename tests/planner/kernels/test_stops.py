@@ -33,15 +33,15 @@ def clearance_of_all_stops(planner: Planner, config: PlannerConfig) -> np.ndarra
     )
     controls, positions, clearance = (wp.empty_like(a) for a in (w.stop_controls, w.stop_positions, w.stop_clearance))
     wp.launch(
-        roll_out_stops(CPU), (1, count), inputs=[drone, planner.params, w.plan_period, rollouts],
+        roll_out_stops(CPU), (1, count), inputs=[w.finished, drone, planner.params, w.plan_period, rollouts],
         outputs=[controls, positions, clearance],
     )  # fmt: skip
     wp.launch(
         evaluate_stops(CPU),
         (1, count, 4 * config.sampling.steps, 1),
         inputs=[
-            i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns,
-            o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
+            w.finished, i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows,
+            columns, o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, positions, w.state_terms,
             w.standing_clearance,
         ],
         outputs=[clearance],
