@@ -84,6 +84,7 @@ class CloudArrays:
     reach: wp.array = array(wp.float32, "B S", "m", "Radius of the first shell of each sweep.")
     shell_ends: wp.array = array(wp.int32, "B*S E", "", "End of each shell in `order`, and the points not finite.")
     order: wp.array = array(wp.int32, "B P", "", "Indices of the points of each sweep, by shell.")
+    ordered_points: wp.array = array(wp.vec3, "B P", "m", "The points of each sweep, by shell, world frame.")
     tracked_from: wp.array = array(wp.int32, "S", "", "Number of the oldest sweep that the tracks of each one use.")
     track_count: wp.array = array(wp.int32, "B S", "", "Number of obstacles that moved when each sweep arrived.")
     track_seen: wp.array = array(wp.int32, "B S", "", "Number of those that the sweep shows; the others follow them.")

@@ -133,9 +133,13 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
             not_finite = int(0)
             for j in range(wp.min(WIDTH, count - start)):
                 index = first + start + j
+                point = wp.vec3()
                 if ordered:
+                    point = cloud.ordered_points[b, index]
                     index = cloud.order[b, index]
-                d = cloud.points[b, index] - origin
+                else:
+                    point = cloud.points[b, index]
+                d = point - origin
                 indices[waiting] = index
                 dx[waiting] = d[0]
                 dy[waiting] = d[1]

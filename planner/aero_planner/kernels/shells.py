@@ -121,10 +121,12 @@ def fill_shells(
     if b + thread == 0:
         cloud.is_ordered[sweep] = 1
     for i in range(thread, cloud.count[b, sweep], threads):
-        shell = shell_of_point(cloud.points[b, first + i], cloud.center[b, sweep], cloud.reach[b, sweep])
+        point = cloud.points[b, first + i]
+        shell = shell_of_point(point, cloud.center[b, sweep], cloud.reach[b, sweep])
         if shell < SHELLS:
             slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
             cloud.order[b, first + slot] = first + i
+            cloud.ordered_points[b, first + slot] = point
 
 
 @wp.kernel
