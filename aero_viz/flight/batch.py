@@ -61,7 +61,8 @@ def observe_kernel(
 class FlightBatch:
     """B flights in lock step. Every tick plans, flies and scans; all data stay on the device.
 
-    A flight takes about 7 MB of device memory with the default configuration and LiDAR.
+    A flight takes about 21 MB of device memory with the default configuration and LiDAR. One that is over takes little
+    time.
 
     Args:
         worlds: one per flight; repeat a World object to fly it several times.
@@ -82,7 +83,7 @@ class FlightBatch:
 
     Attributes:
         simulator: states, outcomes and records.
-        planner: its inputs and outputs are those of the last plan.
+        planner: its inputs and outputs are those of the last plan; the outputs of finished flights mean nothing.
         interrupted: True if Ctrl-C was pressed during the last `run`, even if all its flights were over by then.
     """
 
