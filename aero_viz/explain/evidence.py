@@ -221,11 +221,11 @@ def _clearance_of_all_stops(planner: Planner) -> Array:
     count, (rows, columns) = w.stop_clearance.shape[1], fine_shape(config)
     outputs = [wp.empty_like(array) for array in (w.stop_controls, w.stop_positions, w.stop_clearance)]
     with wp.ScopedDevice("cpu"):
-        inputs = [drone, planner.params, w.plan_period, rollouts]
+        inputs = [w.finished, drone, planner.params, w.plan_period, rollouts]
         wp.launch(roll_out_stops(CPU), (1, count), inputs=inputs, outputs=outputs)
-        inputs = [i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1, rows, columns]
-        inputs += [o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1], w.state_terms]
-        inputs += [w.standing_clearance]
+        inputs = [w.finished, i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1]
+        inputs += [rows, columns, o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1]]
+        inputs += [w.state_terms, w.standing_clearance]
         wp.launch(evaluate_stops(CPU), (1, count, 4 * config.sampling.steps, 1), inputs=inputs, outputs=outputs[2:])
     return outputs[2].numpy()[0].astype(np.float64)
 
