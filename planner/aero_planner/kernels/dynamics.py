@@ -80,11 +80,18 @@ def heading(q: wp.vec4) -> float:
 
 
 @wp.func
+def _axis_change(q: wp.vec4) -> wp.vec3:
+    """Return Q(q) = R(q) e_3 - e_3, a quadratic form."""
+    return wp.vec3(
+        2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), -2.0 * (q[1] * q[1] + q[2] * q[2])
+    )
+
+
+@wp.func
 def thrust_axis(q: wp.vec4) -> wp.vec3:
     """Return R(q) e_3: the body z axis in the world frame."""
-    return wp.vec3(
-        2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), 1.0 - 2.0 * (q[1] * q[1] + q[2] * q[2])
-    )
+    change = _axis_change(q)
+    return wp.vec3(change[0], change[1], 1.0 + change[2])
 
 
 @wp.func
@@ -156,14 +163,6 @@ def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
 def thrust_free_acceleration(disturbance: wp.vec3, params: Params) -> wp.vec3:
     """Return g + d, the acceleration without thrust and drag [m/s^2], world frame."""
     return disturbance - wp.vec3(0.0, 0.0, params.gravity)
-
-
-@wp.func
-def _axis_change(q: wp.vec4) -> wp.vec3:
-    """Return Q(q) = `thrust_axis`(q) - e_3, a quadratic form."""
-    return wp.vec3(
-        2.0 * (q[1] * q[3] + q[0] * q[2]), 2.0 * (q[2] * q[3] - q[0] * q[1]), -2.0 * (q[1] * q[1] + q[2] * q[2])
-    )
 
 
 @wp.func

@@ -333,8 +333,9 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
                 stage1_cost[i, k] = S
                 lowest = wp.min(lowest, S)
         lowest = block_minimum(lowest)
-        for k in range(wp.where(share == 0, thread // SHARES, samples), samples, THREADS // SHARES):
-            sample_weights[i, k] = wp.exp((lowest - stage1_cost[i, k]) / params[b].temperature)
+        if share == 0:
+            for k in range(thread // SHARES, samples, THREADS // SHARES):
+                sample_weights[i, k] = wp.exp((lowest - stage1_cost[i, k]) / params[b].temperature)
         synchronize_block()
         # Each warp sums READ_AHEAD values at a time; its lanes read neighbouring samples.
         lane = thread % LANES

@@ -260,11 +260,10 @@ def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
 @functools.cache
 def safest_fine_cell(lanes: int) -> wp.Function:
     """Return the function that finds the safe direction of a coarse cell, which `lanes` lanes of a warp share."""
-    LANES = wp.constant(lanes)
-    # Cells that a lane reads together, so that a GPU waits for memory once for all of them.
-    WIDTH = wp.constant(max(16 // lanes, 2))
+    width = max(16 // lanes, 2)  # cells that a lane reads together, so that a GPU waits for memory once for all of them
+    LANES, WIDTH = wp.constant(lanes), wp.constant(width)
     minimum = minimum_over(lanes)
-    Reals = wp.types.vector(length=max(16 // lanes, 2), dtype=wp.float32)
+    Reals = wp.types.vector(length=width, dtype=wp.float32)
 
     @wp.func
     def safest_fine_cell(

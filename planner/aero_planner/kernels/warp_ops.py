@@ -53,23 +53,21 @@ def warp_sum(x: float, threads: int) -> float:
     ...
 
 
-@wp.func_native("""
+_READ_LANE = """
 #if defined(__CUDA_ARCH__)
     return __shfl_sync(0xffffffffu, x, lane);
 #endif
     return x;
-""")
+"""
+
+
+@wp.func_native(_READ_LANE)
 def read_lane(x: float, lane: int) -> float:
     """Return the value of x in one lane of the warp; all lanes must call it. A CPU has one lane."""
     ...
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __shfl_sync(0xffffffffu, x, lane);
-#endif
-    return x;
-""")
+@wp.func_native(_READ_LANE)
 def read_lane_integer(x: int, lane: int) -> int:
     """Return the value of x in one lane of the warp, like `read_lane`."""
     ...
