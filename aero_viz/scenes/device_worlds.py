@@ -42,6 +42,7 @@ class DeviceWorlds:
     Attributes:
         geometry: `Geometry` of the distinct worlds, for kernels.
         index: world of each flight, int [B], on the device.
+        has_triangles: True if any of the worlds consists of triangles too.
         device: Warp device.
     """
 
@@ -69,6 +70,7 @@ class DeviceWorlds:
         self._trees = [
             TriangleTree(world.triangles, device=device) if len(world.triangles) else None for world in unique
         ]
+        self.has_triangles = any(self._trees)
 
         init_warp()
         self.device = wp.get_device(device)

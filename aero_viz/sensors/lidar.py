@@ -15,7 +15,7 @@ from aero_planner.config.parameter import ParameterSection, choice, did_you_mean
 from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.errors import UserError
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar_kernels import Beams, scan_kernel
+from aero_viz.sensors.lidar_kernels import Beams, scan
 
 # The Mid-360, after the scan table that its maker publishes for simulation (livox_laser_simulation, mid360.csv).
 _BEAMS = 4
@@ -211,4 +211,4 @@ class Lidar:
         inputs.append(self._lost)
         inputs += [*positions, *quaternions, *estimated_positions, *estimated_quaternions]
         size = (len(self._seeds), end - first)
-        wp.launch(scan_kernel, size, inputs=inputs, outputs=[self.points], device=worlds.device)
+        wp.launch(scan(worlds.has_triangles), size, inputs=inputs, outputs=[self.points], device=worlds.device)

@@ -1,6 +1,8 @@
 """Warp kernels of the simulated LiDAR: beam directions over time, and scans with noise and dropout."""
 
-from __future__ import annotations
+# Postponed annotations are left out: kernels made for a case refer to local functions.
+
+import functools
 
 import warp as wp
 
@@ -89,48 +91,56 @@ def attitude_between(before: wp.vec4, after: wp.vec4, share: float):
     return wp.quat(q[1], q[2], q[3], q[0])
 
 
-@wp.kernel
-def scan_kernel(
-    # problem
-    geometry: Geometry,
-    world: wp.array(dtype=int),  # [B]
-    beams: Beams,
-    seeds: wp.array(dtype=int),  # [B]
-    sweep: int,
-    first: int,
-    count: int,
-    # in
-    finished: wp.array(dtype=int),  # [B]
-    lost: wp.array(dtype=int),  # [B]
-    position_before: wp.array(dtype=wp.vec3),  # [B]
-    position: wp.array(dtype=wp.vec3),  # [B]
-    quaternion_before: wp.array(dtype=wp.vec4),  # [B]
-    quaternion: wp.array(dtype=wp.vec4),  # [B]
-    estimated_position_before: wp.array(dtype=wp.vec3),  # [B]
-    estimated_position: wp.array(dtype=wp.vec3),  # [B]
-    estimated_quaternion_before: wp.array(dtype=wp.vec4),  # [B]
-    estimated_quaternion: wp.array(dtype=wp.vec4),  # [B]
-    # out
-    points: wp.array2d(dtype=wp.vec3),  # [B, points_per_sweep]
-):
-    """Measure `count` points of a sweep from the true poses, and place them by the estimated poses."""
-    b, i = wp.tid()
-    if finished[b] != 0:
-        return
-    index = sweep * beams.points_per_sweep + first + i
-    share = (float(i) + 0.5) / float(count)
-    beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
-    attitude = attitude_between(quaternion_before[b], quaternion[b], share)
-    origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
-    direction = wp.quat_rotate(attitude, beam)
-    time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
-    distance = ray_range(geometry, world[b], origin, direction, beams.range_max, time)
-    point = wp.vec3(wp.nan, wp.nan, wp.nan)
-    if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
-        random = wp.rand_init(seeds[b], index)
-        if wp.randf(random) >= beams.dropout:
-            in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
-            estimated_attitude = attitude_between(estimated_quaternion_before[b], estimated_quaternion[b], share)
-            estimated_origin = wp.lerp(estimated_position_before[b], estimated_position[b], share)
-            point = estimated_origin + wp.quat_rotate(estimated_attitude, in_body)
-    points[b, first + i] = point
+@functools.cache
+def scan(with_triangles: bool) -> wp.Kernel:
+    """Return the kernel that measures a part of a sweep in worlds with or without triangles."""
+    cast = ray_range(with_triangles)
+
+    # A multiprocessor must hold four blocks. With as many registers as the kernel would like it holds two.
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(256, 4))
+    def scan(
+        # problem
+        geometry: Geometry,
+        world: wp.array(dtype=int),  # [B]
+        beams: Beams,
+        seeds: wp.array(dtype=int),  # [B]
+        sweep: int,
+        first: int,
+        count: int,
+        # in
+        finished: wp.array(dtype=int),  # [B]
+        lost: wp.array(dtype=int),  # [B]
+        position_before: wp.array(dtype=wp.vec3),  # [B]
+        position: wp.array(dtype=wp.vec3),  # [B]
+        quaternion_before: wp.array(dtype=wp.vec4),  # [B]
+        quaternion: wp.array(dtype=wp.vec4),  # [B]
+        estimated_position_before: wp.array(dtype=wp.vec3),  # [B]
+        estimated_position: wp.array(dtype=wp.vec3),  # [B]
+        estimated_quaternion_before: wp.array(dtype=wp.vec4),  # [B]
+        estimated_quaternion: wp.array(dtype=wp.vec4),  # [B]
+        # out
+        points: wp.array2d(dtype=wp.vec3),  # [B, points_per_sweep]
+    ):
+        """Measure `count` points of a sweep from the true poses, and place them by the estimated poses."""
+        b, i = wp.tid()
+        if finished[b] != 0:
+            return
+        index = sweep * beams.points_per_sweep + first + i
+        share = (float(i) + 0.5) / float(count)
+        beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
+        attitude = attitude_between(quaternion_before[b], quaternion[b], share)
+        origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
+        direction = wp.quat_rotate(attitude, beam)
+        time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
+        distance = cast(geometry, world[b], origin, direction, beams.range_max, time)
+        point = wp.vec3(wp.nan, wp.nan, wp.nan)
+        if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
+            random = wp.rand_init(seeds[b], index)
+            if wp.randf(random) >= beams.dropout:
+                in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
+                estimated_attitude = attitude_between(estimated_quaternion_before[b], estimated_quaternion[b], share)
+                estimated_origin = wp.lerp(estimated_position_before[b], estimated_position[b], share)
+                point = estimated_origin + wp.quat_rotate(estimated_attitude, in_body)
+        points[b, first + i] = point
+
+    return scan

@@ -228,9 +228,10 @@ class Pipeline(LaunchSequence):
                 ],
                 outputs=[w.sample_clearance_cost],
             )  # fmt: skip
+        tuning = self._batch_tuning
         return self.record(
-            sample_clearance.query_clearance(self._batch_tuning),
-            (count, sizes.Q, sizes.K * self._batch_tuning.threads_per_sample_query),
+            sample_clearance.query_clearance(tuning),
+            (count, -(-sizes.Q // tuning.rows_per_sample_query), sizes.K * tuning.threads_per_sample_query),
             inputs=[
                 first, sizes.M, sizes.N, w.finished, i.position, i.ground_height, r.movers, self._params,
                 self._duplicate_rows, w.cell_ends, w.point_packs, w.sample_positions,

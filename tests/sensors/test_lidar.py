@@ -51,6 +51,13 @@ def coverage(points):
     return len(np.unique(cells[(elevation > -7.0) & (elevation < 50.0)])) / (120 * 19)
 
 
+def test_triangles_out_of_sight_change_nothing(shell):
+    """Worlds with triangles are scanned by a kernel of their own."""
+    hidden = np.array([[100.0, 0.0, 0.0, 100.0, 1.0, 0.0, 100.0, 0.0, 1.0]])
+    points = sweep(MID360, dataclasses.replace(shell, triangles=hidden))
+    np.testing.assert_array_equal(points, sweep(MID360, shell))
+
+
 def test_mid360_field_of_view_and_rate(shell):
     model = MID360
     assert model.points_per_sweep * model.sweep_rate == 200_000

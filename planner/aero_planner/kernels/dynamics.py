@@ -11,6 +11,7 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.kernels.params import Params
+from aero_planner.kernels.warp_ops import near_quotient
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,7 +36,7 @@ def near_atan2(y: float, x: float) -> float:
     """Return atan2(y, x) to 3e-7 rad, without a branch."""
     a = wp.abs(y)
     b = wp.abs(x)
-    angle = 0.25 * wp.PI + atan_unit((a - b) / (a + b + 1.0e-30))
+    angle = 0.25 * wp.PI + atan_unit(near_quotient(a - b, a + b + 1.0e-30))
     angle = wp.where(x < 0.0, wp.PI - angle, angle)
     return wp.where(y < 0.0, -angle, angle)
 

@@ -16,7 +16,7 @@ _FEW_DRONES = 2
 
 _SCAN_THREADS = 2**15
 """Threads that scan the cloud. More of them, each with its own preparation, are no faster on an H100."""
-_FEWEST_SCAN_THREADS = 512
+_FEWEST_SCAN_THREADS = 128
 """Fewest threads that share a sweep."""
 
 
@@ -37,6 +37,8 @@ class KernelTuning(NamedTuple):
     """Threads that weight the samples of one instance; on CUDA they form a thread block."""
     threads_per_instance: int = 1
     """Threads that share the time steps of one instance."""
+    rows_per_sample_query: int = 1
+    """Time steps whose Stage I positions a thread queries one after another."""
     threads_per_sample_query: int = 1
     """Threads that share the clearance query of one Stage I position."""
     threads_per_query: int = 1
@@ -53,6 +55,7 @@ class KernelTuning(NamedTuple):
             return self
         return self._replace(
             threads_per_update=min(self.threads_per_update, 128),
+            rows_per_sample_query=8,
             threads_per_sample_query=1,
             threads_per_query=1,
             threads_per_stop_query=1,

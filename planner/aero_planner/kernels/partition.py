@@ -17,7 +17,7 @@ from aero_planner.kernels.params import Params
 from aero_planner.kernels.records import CloudSweeps
 from aero_planner.kernels.shells import SHELLS, last_shell
 from aero_planner.kernels.wakes import forgets_wakes, is_in_wake
-from aero_planner.kernels.warp_ops import add_count, minimum_over
+from aero_planner.kernels.warp_ops import add_count, minimum_over, near_root, read_key, read_vector
 
 wp.set_module_options({"enable_backward": False})
 
@@ -66,7 +66,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
     Reals = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.float32)
     Integers = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.int32)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    # A multiprocessor must hold four blocks. With as many registers as the kernel would like it holds two.
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(256, 4))
     def scatter_points(
         # share of the points
         worker: int,
@@ -135,8 +136,9 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                 index = first + start + j
                 point = wp.vec3()
                 if ordered:
-                    point = cloud.ordered_points[b, index]
-                    index = cloud.order[b, index]
+                    entry = read_vector(cloud.ordered_points, b, index)
+                    point = wp.vec3(entry[0], entry[1], entry[2])
+                    index = wp.cast(entry[3], wp.int32)
                 else:
                     point = cloud.points[b, index]
                 d = point - origin
@@ -150,7 +152,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                     waiting += wp.where(wp.dot(d, d) <= range_squared, 1, 0)
                     # d - d is NaN for a component that is not finite; the squared range may overflow for finite points.
                     not_finite += wp.where((d[0] - d[0]) + (d[1] - d[1]) + (d[2] - d[2]) == 0.0, 0, 1)
-            add_count(worker_dropped, worker, b, not_finite)
+            if not ordered:
+                add_count(worker_dropped, worker, b, not_finite)
             least = wp.where(group + stride < groups, WIDTH, 1)
             while waiting >= least:
                 present = wp.min(WIDTH, waiting)
@@ -160,7 +163,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                     y = wp.dot(left, d)
                     z = wp.dot(up, d)
                     r = wp.sqrt(wp.dot(d, d))
-                    row = (near_atan2(z, wp.sqrt(x * x + y * y)) * (1.0 / wp.PI) + 0.5) * float(rows)
+                    row = (near_atan2(z, near_root(x * x + y * y)) * (1.0 / wp.PI) + 0.5) * float(rows)
                     column = (near_atan2(y, x) * (0.5 / wp.PI) + 0.5) * float(columns)
                     off_center = wp.max(wp.abs(row - wp.floor(row) - 0.5), wp.abs(column - wp.floor(column) - 0.5))
                     cell = int(wp.floor(row)) * columns + int(wp.floor(column))
@@ -180,7 +183,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                             place += cloud.points.shape[1]
                         # The bits of non-negative floats have the order of the floats.
                         key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
-                        is_nearest = key < cell_keys[worker, b, cell]
+                        is_nearest = key < read_key(cell_keys, worker, b, cell)
                         if is_nearest and not is_in_wake(origin + d, b, sweep, wake_count, cloud):
                             wp.atomic_min(cell_keys, worker, b, cell, key)
                 waiting -= present

@@ -22,8 +22,8 @@ class CloudSweeps:
     center: wp.array2d(dtype=wp.vec3)  # [B, S], centre of the shells, world frame [m]
     reach: wp.array2d(dtype=float)  # [B, S], radius of the first shell [m]
     shell_ends: wp.array2d(dtype=int)  # [B S, COUNTERS], see `kernels.shells`
-    order: wp.array2d(dtype=int)  # [B, P], indices of the points of each sweep by shell, from its start on
-    ordered_points: wp.array2d(dtype=wp.vec3)  # [B, P], these points, so that plans read them one after another
+    # [B, P], points of each sweep by shell, from its start on: x, y, z [m] and the bits of their index in `points`
+    ordered_points: wp.array2d(dtype=wp.vec4)
     # What moved when each sweep arrived, see `kernels.tracks`; X is `MOVERS`.
     tracked_from: wp.array(dtype=int)  # [S], number of the oldest sweep that was used; -1 if there were too few
     track_count: wp.array2d(dtype=int)  # [B, S]

@@ -9,6 +9,7 @@ import warp as wp
 
 from aero_planner.kernels.clearance import (
     GRID,
+    ROUNDING,
     above_ground,
     cell_size,
     clearance_at,
@@ -29,11 +30,12 @@ wp.set_module_options({"enable_backward": False})
 @functools.cache
 def query_clearance(tuning: KernelTuning) -> wp.Kernel:
     """Return the kernel that evaluates the clearance of all Stage I positions on CUDA."""
-    THREADS = wp.constant(tuning.threads_per_sample_query)
+    ROWS, THREADS = wp.constant(tuning.rows_per_sample_query), wp.constant(tuning.threads_per_sample_query)
     clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
     Pack: Any = point_pack(tuning.points_per_pack)
 
-    @wp.kernel(module="unique", enable_backward=False)
+    # A multiprocessor must hold eight blocks, as in `scatter_points`.
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(128, 8))
     def query_clearance(
         # slice of the instances
         first_instance: int,
@@ -57,9 +59,9 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         """Compute the collision cost of every sampled position, shape [B M, N + PROBES, K].
 
         Rows from `steps` on are probes of the cost-to-go: 1 where the path is blocked, else 0.
-        Launched over [instances of this chunk, N + PROBES, K THREADS].
+        Launched over [instances of this chunk, groups of ROWS rows, K THREADS].
         """
-        offset, t, slot = wp.tid()
+        offset, group, slot = wp.tid()
         k = slot // THREADS
         thread = slot % THREADS
         i = first_instance + offset
@@ -67,18 +69,18 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         if finished[b] != 0:
             return
         c = params[b]
-        if t >= steps and c.q_blocked == 0.0:
-            return
-        limit = query_limit(t, steps, c)
+        rows = wp.where(c.q_blocked == 0.0, steps, sample_clearance_cost.shape[1])
         size = cell_size(c)
-        x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
-        d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
-        d = above_ground(d, x, ground_height[b], c)
-        if t < steps:
-            d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
-        if thread == 0:
-            blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
-            sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
+        for t in range(group * ROWS, wp.min(group * ROWS + ROWS, rows)):
+            limit = query_limit(t, steps, c)
+            x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
+            d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
+            d = above_ground(d, x, ground_height[b], c)
+            if t < steps:
+                d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
+            if thread == 0:
+                blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
+                sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
 
     return tuning.set_options(query_clearance)
 
@@ -131,8 +133,7 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
         ground = ground_height[b]
         limit = query_limit(t, steps, c)
         size = cell_size(c)
-        # The limit in cells, with a margin for rounding.
-        reach = limit / size + 1.0e-4
+        reach = limit / size + ROUNDING  # in cells
         first_cell = Integers()
         last_cell = Integers()
         cost = Reals()

@@ -125,8 +125,8 @@ def fill_shells(
         shell = shell_of_point(point, cloud.center[b, sweep], cloud.reach[b, sweep])
         if shell < SHELLS:
             slot = claim_slot(cloud.shell_ends, b * cloud.start.shape[0] + sweep, shell)
-            cloud.order[b, first + slot] = first + i
-            cloud.ordered_points[b, first + slot] = point
+            index = wp.cast(first + i, wp.float32)
+            cloud.ordered_points[b, first + slot] = wp.vec4(point[0], point[1], point[2], index)
 
 
 @wp.kernel

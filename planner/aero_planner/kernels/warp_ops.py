@@ -75,6 +75,30 @@ def read_lane_integer(x: int, lane: int) -> int:
 
 @wp.func_native("""
 #if defined(__CUDA_ARCH__)
+    return __fdividef(x, y);
+#else
+    return x / y;
+#endif
+""")
+def near_quotient(x: float, y: float) -> float:
+    """Return x / y, on CUDA to two units in the last place: the exact quotient takes ten instructions and a branch."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return x * rsqrtf(fmaxf(x, 1.0e-30f));
+#else
+    return sqrtf(x);
+#endif
+""")
+def near_root(x: float) -> float:
+    """Return the square root of x >= 0, on CUDA to three units in the last place, like `near_quotient`."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
     __syncthreads();
 #endif
 """)
@@ -186,6 +210,27 @@ def read_four_points(packs: wp.array2d(dtype=_FourPoints), b: int, k: int) -> _F
 """)
 def read_four_values(values: wp.array3d(dtype=_FourValues), i: int, j: int, k: int) -> _FourValues:  # pyright: ignore
     """Return values[i, j, k] by one 16-byte load."""
+    ...
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    const float4 x = __ldg(reinterpret_cast<const float4*>(wp::address(values, i, 0)) + k);
+    return wp::vec_t<4, wp::float32>(x.x, x.y, x.z, x.w);
+#else
+    return wp::load(wp::address(values, i, k));
+#endif
+""")
+def read_vector(values: wp.array2d(dtype=wp.vec4), i: int, k: int) -> wp.vec4:  # pyright: ignore
+    """Return values[i, k] by one 16-byte load."""
+    ...
+
+
+@wp.func_native("""
+    return wp::address(keys, i, j, 0)[k];
+""")
+def read_key(keys: wp.array3d(dtype=wp.uint64), i: int, j: int, k: int) -> wp.uint64:  # pyright: ignore
+    """Return keys[i, j, k]; the last axis is contiguous."""
     ...
 
 
