@@ -84,14 +84,15 @@ class PackedArrays(Generic[Arrays]):
         self._buffer_count = 0
         self._target: NDArray[np.uint8] | None = None
         self._host_bytes: np.ndarray = self._host.numpy()
-        self._host_record = self._as_record(self._host_bytes)
+        record = self._as_record(self._host_bytes)
+        self._host_arrays: dict[str, NDArray[Any]] = {name: record[name] for name in specs}
 
     def _as_record(self, memory: np.ndarray) -> np.ndarray:
         return memory.view(self._record).reshape(())
 
-    def host(self) -> np.ndarray:
-        """Return a record whose fields are writable host views of the arrays; `upload` copies them to the device."""
-        return self._host_record
+    def host(self) -> dict[str, NDArray[Any]]:
+        """Return writable host views of the arrays by name; `upload` copies them to the device."""
+        return self._host_arrays
 
     def upload(self) -> None:
         """Copy the host's values to the device, ordered before later launches."""

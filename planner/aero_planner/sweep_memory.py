@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import heapq
 import math
+import operator
 from collections import deque
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -107,6 +110,7 @@ class SweepMemory:
         self._sequence.stages[_ARRIVAL] = [LaunchSequence.serial("arrival", *launches)]
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
+        self._free_rows = list(range(sweeps))  # a heap
         self._whole = whole
         kept = np.array([] if remembered is None else remembered, dtype=np.int64)
         self._forgetful = np.flatnonzero(kept < sweeps)  # drones
@@ -171,7 +175,7 @@ class SweepMemory:
         oldest, newest = (entries[0].number, entries[-1].number) if entries else (0, -1)
         aged = [entry.row for entry in entries[:thinned] if entry.row not in self._thinned]
         changes: list[_Change] = []
-        known = sum(entry.number < first_new for entry in entries)
+        known = len(entries) - sum(1 for _ in takewhile(lambda entry: entry.number >= first_new, reversed(entries)))
         for i, entry in enumerate(entries[known:], known):
             # Without all `RECENT` sweeps before it, only the newest one's motion matters.
             is_used = entry is entries[-1] or i >= int(RECENT) - 1
@@ -226,7 +230,9 @@ class SweepMemory:
         """Drop the oldest `count` sweeps."""
         counts = self._table.host()["count"]
         for _ in range(count):
-            counts[:, self._entries.popleft().row] = 0
+            row = self._entries.popleft().row
+            counts[:, row] = 0
+            heapq.heappush(self._free_rows, row)
 
     def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
@@ -266,9 +272,9 @@ class SweepMemory:
 
     def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
         """Return how many of the newest sweeps in the ring are the first of `sweeps`."""
-        held, wanted = [id(entry.points) for entry in self._entries], [id(points) for points in sweeps]
-        kept = range(min(len(held), len(wanted)), 0, -1)
-        return next((count for count in kept if held[-count:] == wanted[:count]), 0)
+        held = [entry.points for entry in self._entries]
+        first = range(max(len(held) - len(sweeps), 0), len(held))
+        return next((len(held) - i for i in first if all(map(operator.is_, held[i:], sweeps))), 0)
 
     def _place(self, sweeps: list[NDArray[np.float32]], arrivals: tuple[Arrival | None, ...]) -> list[_Entry]:
         """Add sweeps to the ring and return their entries; those that are in the ring may move, and are among them."""
@@ -282,7 +288,7 @@ class SweepMemory:
                 self._drop(len(held))
                 everything = [entry.points for entry in held] + sweeps[len(added) :]
                 return self._place(everything, (*[entry.arrival for entry in held], *arrivals[len(added) :]))
-            row = min(set(range(self._sizes.S)).difference(entry.row for entry in self._entries))
+            row = heapq.heappop(self._free_rows)
             added.append(_Entry(points, arrival, self._next_number, row, start))
             self._next_number += 1
             self._entries.append(added[-1])
@@ -321,6 +327,8 @@ def _recent_rows(entries: list[_Entry]) -> list[int]:
     """Return the rows of the newest sweeps that show motion: those of a fast planner are partly left out."""
     recent: list[_Entry] = []
     for entry in reversed(entries):
+        if len(recent) == int(RECENT):
+            break
         later = recent[-1].arrival if recent else None
         if later is None or entry.arrival is None or entry.arrival.time <= later.time - _LEAST_PERIOD:
             recent.append(entry)
@@ -328,6 +336,5 @@ def _recent_rows(entries: list[_Entry]) -> list[int]:
 
 
 def _padded(rows: list[int]) -> list[int]:
-    """Return the first `RECENT` rows, and -1 for those that are missing."""
-    missing = int(RECENT) - len(rows)
-    return rows[: int(RECENT)] + [-1] * missing
+    """Return at most `RECENT` rows, and -1 for those that are missing."""
+    return rows + [-1] * (int(RECENT) - len(rows))
