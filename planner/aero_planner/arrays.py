@@ -173,7 +173,7 @@ class Workspace:
     initial_directions: wp.array = array(wp.vec3, "B A", "", "Directions of the initial endpoints, body frame.")
     fine_directions: wp.array = array(wp.vec3, "F0 F1", "", "Table of the centre directions of the fine cells.")
 
-    cell_keys: wp.array = array(wp.uint64, "W B F", "", "Range and index of the nearest point; all ones: none.")
+    cell_keys: wp.array = array(wp.uint64, "W B F", "", "Range and place of the nearest point, inverted; 0: none.")
     worker_dropped: wp.array = array(wp.int32, "W B", "", "Points that were not finite, counted by each worker.")
 
     surfaces: wp.array = array(wp.vec2, "B 2 Y", "m", "Nearest surface to continue: distance, horizontal, and height.")

@@ -104,9 +104,11 @@ class Pipeline(LaunchSequence):
         place_movers = self._place_movers()
         movers = self.serial("anchors", *self.branch("movers", place_movers, after="anchors"))
         scan = cloud.scan_points()
+        reset_keys = arrays.work.cell_keys.zero_
         reset_grid = arrays.work.cell_ends.zero_, arrays.work.points_used.zero_
         # No later stage needs the coarse cells. Beside the guides they would delay these.
-        pool = self.serial("partition", *self.branch("pool", cloud.pool_coarse_cells(), after="grid"))
+        late = [cloud.pool_coarse_cells(), *([reset_keys] if self._device.is_cuda else [])]
+        pool = self.serial("partition", *self.branch("pool", *late, after="grid"))
         plan = [
             cloud.finish_fine_cells(),
             self.serial("partition", self.join("anchors")),
@@ -122,6 +124,8 @@ class Pipeline(LaunchSequence):
         ]
         # A GPU starts the first launches one after another, in the order in which they are recorded.
         self.stages[PLAN] = [predict, scan, place_anchors, movers, *plan]
+        if self._device.is_cpu:  # here a plan may be interrupted before it ends
+            self.stages[PLAN].insert(0, self.serial("partition", reset_keys))
         if arrays.change is not None and self._device.is_cuda:
             sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
             self.stages[PLAN_AND_ARRIVAL] = [

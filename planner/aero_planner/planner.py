@@ -20,7 +20,7 @@ from aero_planner.history import History, forget_history
 from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
-from aero_planner.kernels.partition import EMPTY, fill_directions
+from aero_planner.kernels.partition import fill_directions
 from aero_planner.launch_sequence import PLAN, usable_cores
 from aero_planner.motion import Motion
 from aero_planner.pipeline import PLAN_AND_ARRIVAL, Pipeline
@@ -107,7 +107,6 @@ class Planner:
         outputs = PackedArrays(PlannerOutputs, sizes, self._device)
         # Not before: without room for new arrays, the planner goes on with the present ones and its previous plan.
         self._sizes, self._work, self._outputs = sizes, work, outputs
-        work.cell_keys.fill_(EMPTY.value)
         with wp.ScopedDevice(self._device):
             wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
         self._assign_seeds()

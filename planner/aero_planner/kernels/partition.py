@@ -21,8 +21,8 @@ from aero_planner.kernels.warp_ops import add_count, minimum_over, near_root, re
 
 wp.set_module_options({"enable_backward": False})
 
-EMPTY = wp.constant(wp.uint64(0xFFFFFFFFFFFFFFFF))
-"""Key of a fine cell that holds no point."""
+EMPTY = wp.constant(wp.uint64(0))
+"""Key of a fine cell that holds no point, less than all others. A GPU fills memory with zeros faster than a kernel."""
 
 
 @wp.func
@@ -85,10 +85,10 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         cell_keys: wp.array3d(dtype=wp.uint64),
         worker_dropped: wp.array2d(dtype=int),
     ):
-        """Find r_ij as a minimum over packed keys.
+        """Find r_ij by a maximum over packed keys.
 
-        The upper half of a key is the range, the lower half the place of the point in the cloud, so that the first of
-        several points at the same range is kept. Of an ordered sweep only the shells within reach are read. Of others
+        The upper half of a key is the range, the lower half the place of the point in the cloud, both inverted: of the
+        nearest points the first one has the largest key. Of an ordered sweep only the shells within reach are read. Of others
         most points are out of range; they are skipped before the cells of WIDTH points are computed at once. Points in
         the wakes of a sweep are left out. Launched over [B, sweeps, threads per sweep]. A thread handles every
         `stride`-th group of WIDTH points of its sweep. Workers run at the same time, each on its own keys.
@@ -182,10 +182,10 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                         if place < 0:
                             place += cloud.points.shape[1]
                         # The bits of non-negative floats have the order of the floats.
-                        key = (wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place)
-                        is_nearest = key < read_key(cell_keys, worker, b, cell)
+                        key = ~((wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place))
+                        is_nearest = key > read_key(cell_keys, worker, b, cell)
                         if is_nearest and not is_in_wake(origin + d, b, sweep, wake_count, cloud):
-                            wp.atomic_min(cell_keys, worker, b, cell, key)
+                            wp.atomic_max(cell_keys, worker, b, cell, key)
                 waiting -= present
                 if wp.static(not tuning.is_cuda):
                     for j in range(waiting):
@@ -214,8 +214,9 @@ def finish_fine_cells(
     cloud: CloudSweeps,
     # configuration
     params: wp.array(dtype=Params),
-    # in and reset
+    # in
     cell_keys: wp.array3d(dtype=wp.uint64),
+    # in and reset
     worker_dropped: wp.array2d(dtype=int),
     # out
     fine_range: wp.array2d(dtype=float),
@@ -225,7 +226,7 @@ def finish_fine_cells(
 ):
     """Merge the keys and counters of all workers into ranges, filtered cloud and the number of dropped points.
 
-    Keys and counters are reset for the next plan. Launched over [B, threads], see `cells_of_thread`.
+    Counters are reset for the next plan. Launched over [B, threads], see `cells_of_thread`.
     """
     b, thread = wp.tid()
     first, end = cells_of_thread(thread, worker, workers, cells_per_thread, fine_range.shape[1])
@@ -239,15 +240,14 @@ def finish_fine_cells(
     for cell in range(first, end):
         key = EMPTY
         for scanned in range(cell_keys.shape[0]):
-            key = wp.min(key, cell_keys[scanned, b, cell])
-            cell_keys[scanned, b, cell] = EMPTY
+            key = wp.max(key, cell_keys[scanned, b, cell])
         if key == EMPTY:
             fine_range[b, cell] = empty_range
             occupied[b, cell] = 0
         else:
-            fine_range[b, cell] = wp.cast(wp.uint32(key >> wp.uint64(32)), float)
+            fine_range[b, cell] = wp.cast(wp.uint32(~key >> wp.uint64(32)), float)
             occupied[b, cell] = 1
-            index = int(key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
+            index = int(~key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
             if index >= cloud.points.shape[1]:
                 index -= cloud.points.shape[1]
             filtered_points[b, cell] = cloud.points[b, index]
