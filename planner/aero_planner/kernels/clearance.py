@@ -272,25 +272,18 @@ def clearance_at(width: int, threads: int) -> wp.Function:
         c = grid_coordinates(x, center, size)
         if wp.min(c) < 0.0 or wp.max(c) >= float(GRID):
             return limit
+        # The limit in cells.
+        limit_x = limit / size + ROUNDING
+        limit_y = wp.where(duplicate_rows == 0, limit_x, 0.0)
         best = Reals(limit * limit)
-        nearest = limit * limit
-        own = int(c[1])
-        inside = c[1] - float(own)
-        # The row of the position is first: the points that it holds often leave nothing to look for in the others.
-        for i in range(wp.where(duplicate_rows == 0, 3, 1)):
-            side = wp.where(i == 0, 0, 2 * i - 3)
-            gap = wp.where(i == 0, 0.0, wp.max(wp.where(side < 0, inside, 1.0 - inside) - ROUNDING, 0.0) * size)
-            remaining = nearest - gap * gap
-            if remaining > 0.0 and own + side >= 0 and own + side < GRID:
-                reach = wp.sqrt(remaining) / size + ROUNDING
-                row = (int(c[2]) * GRID + own + side) * GRID
-                # The first cell of a row is empty, so its end is the begin of the row.
-                first = cell_ends[b, row + int(wp.max(c[0] - reach - 1.0, 0.0))]
-                last = cell_ends[b, row + int(wp.min(c[0] + reach, float(GRID - 1)))]
-                if first < last:
-                    best = scan(best, x, b, first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, point_packs)
-                    nearest = reduce(best)
-        nearest = minimum(nearest)
+        for y in range(int(wp.max(c[1] - limit_y, 0.0)), int(wp.min(c[1] + limit_y, float(GRID - 1))) + 1):
+            row = (int(c[2]) * GRID + y) * GRID
+            # The first cell of a row is empty, so its end is the begin of the row.
+            first = cell_ends[b, row + int(wp.max(c[0] - limit_x - 1.0, 0.0))]
+            last = cell_ends[b, row + int(wp.min(c[0] + limit_x, float(GRID - 1)))]
+            if first < last:
+                best = scan(best, x, b, first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, point_packs)
+        nearest = minimum(reduce(best))
         return wp.where(nearest < limit * limit, wp.sqrt(nearest), limit)
 
     return clearance_at

@@ -34,8 +34,10 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
     clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
     Pack: Any = point_pack(tuning.points_per_pack)
 
-    # A multiprocessor must hold eight blocks, as in `scatter_points`.
-    @wp.kernel(module="unique", enable_backward=False, launch_bounds=(128, 8))
+    # For a batch, a multiprocessor must hold eight blocks, as in `scatter_points`. One drone has fewer threads than fit.
+    bounds = (128, 8) if tuning.rows_per_sample_query > 1 else None
+
+    @wp.kernel(module="unique", enable_backward=False, launch_bounds=bounds)
     def query_clearance(
         # slice of the instances
         first_instance: int,
