@@ -90,8 +90,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         The upper half of a key is the range, the lower half the place of the point in the cloud, both inverted: of the
         nearest points the first one has the largest key. Of an ordered sweep only the shells within reach are read. Of
         others most points are out of range; they are skipped before the cells of WIDTH points are computed at once.
-        Points in the wakes of a sweep are left out. Launched over [B, sweeps, threads per sweep]. A thread handles every
-        `stride`-th group of WIDTH points of its sweep. Workers run at the same time, each on its own keys.
+        Points in the wakes of a sweep are left out. Workers run at the same time, each on its own keys.
+        Launched over [B, sweeps, threads per sweep]. A thread handles every `stride`-th group of WIDTH points.
         """
         b, sweep, thread = wp.tid()
         if finished[b] != 0:
