@@ -55,6 +55,6 @@ def compare(
         )
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
-        announce(f"{b} with the ghost of {a}", dashboard, page_flags)
+        announce(f"{b} with the ghost of {a}", dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)

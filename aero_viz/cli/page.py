@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from aero_planner.cli_util import quick_imports
 from aero_planner.output_files import check_output_files
+from aero_planner.warp_init import find_device
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -28,7 +30,7 @@ from aero_viz.cli.serving import (
     PageFlags,
     StudyFlags,
     announce,
-    play_when_first_client_connects,
+    play_when_drawn,
     serve_foxglove,
     shutdown_event,
     wait_for,
@@ -185,7 +187,7 @@ def connect(
         dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
-        announce(drone, dashboard, page_flags)
+        announce(drone, dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
 
@@ -260,48 +262,67 @@ def serve(
     conditions: Conditions | None = None,
     study: StudyFlags = _STUDY,
 ) -> None:
-    """Serve the page for the source `spec` until Ctrl-C or SIGTERM."""
-    from aero_viz.catalog import shipped_recordings
-    from aero_viz.dashboard import Dashboard
-    from aero_viz.dashboard.share import FlightFiles
-    from aero_viz.flight.known_drone import config_for_flight
-    from aero_viz.scenes import SCENES
-    from aero_viz.session import Session
-    from aero_viz.session.source import Conditions
+    """Serve the page for the source `spec` until Ctrl-C or SIGTERM.
 
+    The server starts before the planner does, so that a browser loads the page meanwhile, and what is needed for the
+    first picture comes before the rest. Modules are imported in that order.
+    """
     with contextlib.ExitStack() as stack:
-        shown_study = study.open()
-        source = opener(spec, seed=seed)
-        session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
-        stack.callback(session.close)
-        shutdown = shutdown_event()
-        dashboard = Dashboard(
-            session,
-            host=page_flags.host,
-            port=page_flags.port,
-            open_source=opener,
-            choices=[
-                *((f"{name}: {kind.description}", name) for name, kind in SCENES.items()),
-                *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
-            ],
-            seed=seed,
-            opened=spec,
-            conditions=conditions or Conditions(),
-            folders=_folders(spec, page_flags),
-            allowed_hosts=page_flags.allow_host,
-            files=FlightFiles(),
-            study=shown_study,
-        )
-        stack.callback(dashboard.close)
-        if log is not None:
-            from aero_viz.logs import record
+        with quick_imports():
+            # What the user must correct is said before the address.
+            shown_study, folders = study.open(), _folders(spec, page_flags)
+            find_device(device)
+            _ = page_flags.foxglove_port
 
-            stack.enter_context(record(session, log))
-        serve_foxglove(stack, session, page_flags)
-        announce(spec, dashboard, page_flags)
-        session.start(play=False)
-        if not page_flags.paused:
-            play_when_first_client_connects(session, dashboard)
+            from aero_viz.dashboard import LocalServer
+
+            server = LocalServer(host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
+            stack.callback(server.stop)
+            source = opener(spec, seed=seed)
+            announce(spec, server, page_flags)
+
+            from aero_viz.flight.known_drone import config_for_flight
+            from aero_viz.session import Session
+
+            session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
+            stack.callback(session.close)
+            shutdown = shutdown_event()
+            if log is not None:
+                from aero_viz.logs import record
+
+                stack.enter_context(record(session, log))
+            serve_foxglove(stack, session, page_flags)
+            session.start(play=False)
+
+            from aero_viz.dashboard.first_picture import show_first_picture
+
+            drawn = show_first_picture(session, server, is_over=shutdown.is_set)
+
+            from aero_viz.catalog import shipped_recordings
+            from aero_viz.dashboard import Dashboard
+            from aero_viz.dashboard.share import FlightFiles
+            from aero_viz.scenes import SCENES
+            from aero_viz.session.source import Conditions
+
+            dashboard = Dashboard(
+                session,
+                server=server,
+                drawn=drawn,
+                open_source=opener,
+                choices=[
+                    *((f"{name}: {kind.description}", name) for name, kind in SCENES.items()),
+                    *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
+                ],
+                seed=seed,
+                opened=spec,
+                conditions=conditions or Conditions(),
+                folders=folders,
+                files=FlightFiles(),
+                study=shown_study,
+            )
+            stack.callback(dashboard.close)
+            if not page_flags.paused:
+                play_when_drawn(session, dashboard)
         wait_for(shutdown)
 
 

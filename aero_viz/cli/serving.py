@@ -10,7 +10,7 @@ import webbrowser
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -19,7 +19,7 @@ from aero_viz.cli.flags import FoxgloveFlag, OptionalText
 from aero_viz.errors import UserError
 
 if TYPE_CHECKING:
-    from aero_viz.dashboard import Dashboard
+    from aero_viz.dashboard import Dashboard, LocalServer
     from aero_viz.evaluation.tune import StoredStudy
     from aero_viz.session import Session
     from aero_viz.session.base import BaseSession
@@ -158,26 +158,28 @@ def announce_foxglove(url: str) -> None:
     print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
 
 
-def announce(subject: str, dashboard: Dashboard, page_flags: PageFlags) -> None:
+def announce(subject: str, server: LocalServer, page_flags: PageFlags) -> None:
     """Print the address of the page and who can reach it, and open it if that is asked for."""
-    print(f"AERO-Viz shows {subject} at {dashboard.url} (press Ctrl-C to stop)", flush=True)
-    server = dashboard.server
+    print(f"AERO-Viz shows {subject} at {server.link()} (press Ctrl-C to stop)", flush=True)
     if not server.is_private:
         for address in server.addresses:
             print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
             print(f"  to watch it from another machine: {server.link(address=address, view_only=True)}", flush=True)
         print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
     if page_flags.open:
-        webbrowser.open(dashboard.url)
+        webbrowser.open(server.link())
 
 
-def play_when_first_client_connects(session: Session, dashboard: Dashboard) -> None:
-    """Start playback when the first page is open, so that nobody misses the start."""
-    connected = threading.Event()
+def play_when_drawn(session: Session, dashboard: Dashboard) -> None:
+    """Start playback when the first page shows everything, so that nobody misses the start."""
+    from aero_viz.dashboard.scripts import wait_until_drawn
 
-    def start_playback(_: object) -> None:
-        if not connected.is_set():
-            connected.set()
+    is_first = threading.Semaphore()
+
+    def start_playback(client: Any) -> None:
+        if is_first.acquire(blocking=False):
+            dashboard.drain()
+            wait_until_drawn(client)
             session.play()
 
     dashboard.server.on_client_connect(start_playback)

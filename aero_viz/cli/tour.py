@@ -35,6 +35,6 @@ def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, 
         )
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
-        announce("the tour", dashboard, page_flags)
+        announce("the tour", dashboard.server, page_flags)
         session.start(play=False)
         Tour(session, dashboard, opener, say=lambda line: print(line, flush=True)).run(shutdown)

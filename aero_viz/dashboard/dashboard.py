@@ -55,6 +55,8 @@ class Dashboard:
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
+        server: web server to use; None starts one, for which host, port and allowed hosts are.
+        drawn: layers that the server shows already, see `show_first_picture`.
 
     Raises:
         UserError: the port is taken, or the host is not an address of this machine.
@@ -78,12 +80,14 @@ class Dashboard:
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: StoredStudy | None = None,
+        server: LocalServer | None = None,
+        drawn: Sequence[Layer] = (),
     ) -> None:
-        self.server = LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
+        self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
         self.server.catch_up = session.catch_up
         kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
-        self.layers: dict[str, Layer] = {kind.name: kind(self.server) for kind in kinds}
+        self.layers: dict[str, Layer]
         """The layers by name."""
         self.panels: list[Panel]
         """All panels."""
@@ -103,22 +107,25 @@ class Dashboard:
         self._panels_due = 0.0
         self._panels_outdated = False
         self._sink: Mailbox[Any] | None = None
-        self._page = Page(self.server, session, self.layers, self.history, self.refresh)
-        if panels:
-            self._camera, self.panels = build(
-                self._page,
-                open_source=open_source,
-                choices=choices,
-                seed=seed,
-                folders=Folders(folders),
-                opened=opened,
-                conditions=conditions,
-                files=files,
-                study=study,
-            )
-        else:
-            self._camera = CameraPanel(self._page)
-            self.panels = [self._camera]
+        known = {type(layer): layer for layer in drawn}
+        with self.server.atomic():  # a page that is already open builds the panels once
+            self.layers = {kind.name: known.get(kind) or kind(self.server) for kind in kinds}
+            self._page = Page(self.server, session, self.layers, self.history, self.refresh)
+            if panels:
+                self._camera, self.panels = build(
+                    self._page,
+                    open_source=open_source,
+                    choices=choices,
+                    seed=seed,
+                    folders=Folders(folders),
+                    opened=opened,
+                    conditions=conditions,
+                    files=files,
+                    study=study,
+                )
+            else:
+                self._camera = CameraPanel(self._page)
+                self.panels = [self._camera]
         self._sink = session.subscribe(self._show_newest, name="dashboard")
         self._event_sinks: list[Mailbox[Any]] = [
             session.subscribe(self.history.add, every=True, name="history"),
