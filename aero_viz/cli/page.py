@@ -279,6 +279,7 @@ def serve(
             server = LocalServer(host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
             stack.callback(server.stop)
             source = opener(spec, seed=seed)
+            shutdown = shutdown_event()
             announce(spec, server, page_flags)
 
             from aero_viz.flight.known_drone import config_for_flight
@@ -286,7 +287,6 @@ def serve(
 
             session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
             stack.callback(session.close)
-            shutdown = shutdown_event()
             if log is not None:
                 from aero_viz.logs import record
 
