@@ -49,6 +49,8 @@ _FLIGHT = FlightFlags()
 _RECORDING = RecordingFlags()
 _STUDY = StudyFlags()
 _WORLD = WorldFlags()
+_STARTING = "The planner starts. Kernels that are new to this machine take a minute to compile."
+"""Text on a page that is opened before there is anything to show."""
 
 
 def demo(
@@ -278,6 +280,7 @@ def serve(
 
             server = LocalServer(host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
             stack.callback(server.stop)
+            note = server.gui.add_html(_STARTING)
             source = opener(spec, seed=seed)
             shutdown = shutdown_event()
             announce(spec, server, page_flags)
@@ -297,6 +300,7 @@ def serve(
             from aero_viz.dashboard.first_picture import show_first_picture
 
             drawn = show_first_picture(session, server, is_over=shutdown.is_set)
+            note.remove()
 
             from aero_viz.catalog import shipped_recordings
             from aero_viz.dashboard import Dashboard
