@@ -41,6 +41,7 @@ from aero_viz.reader_process import read_here
 if TYPE_CHECKING:
     from aero_planner import PlannerConfig
     from aero_viz.reader_process import Reader
+    from aero_viz.session import Session
     from aero_viz.session.source import Conditions, Opener, Source
 
 _PAGE = PageFlags()
@@ -274,7 +275,7 @@ def serve(
             # What the user must correct is said before the address.
             shown_study, folders = study.open(), _folders(spec, page_flags)
             find_device(device)
-            _ = page_flags.foxglove_port
+            page_flags.check()
 
             from aero_viz.dashboard import LocalServer
 
@@ -285,15 +286,7 @@ def serve(
             shutdown = shutdown_event()
             announce(spec, server, page_flags)
 
-            from aero_viz.flight.known_drone import config_for_flight
-            from aero_viz.session import Session
-
-            session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
-            stack.callback(session.close)
-            if log is not None:
-                from aero_viz.logs import record
-
-                stack.enter_context(record(session, log))
+            session = _open_session(stack, source, config, device=device, seed=seed, log=log)
             serve_foxglove(stack, session, page_flags)
             session.start(play=False)
 
@@ -302,10 +295,8 @@ def serve(
             drawn = show_first_picture(session, server, is_over=shutdown.is_set)
             note.remove()
 
-            from aero_viz.catalog import shipped_recordings
             from aero_viz.dashboard import Dashboard
             from aero_viz.dashboard.share import FlightFiles
-            from aero_viz.scenes import SCENES
             from aero_viz.session.source import Conditions
 
             dashboard = Dashboard(
@@ -313,10 +304,7 @@ def serve(
                 server=server,
                 drawn=drawn,
                 open_source=opener,
-                choices=[
-                    *((f"{name}: {kind.description}", name) for name, kind in SCENES.items()),
-                    *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
-                ],
+                choices=_choices(),
                 seed=seed,
                 opened=spec,
                 conditions=conditions or Conditions(),
@@ -328,6 +316,33 @@ def serve(
             if not page_flags.paused:
                 play_when_drawn(session, dashboard)
         wait_for(shutdown)
+
+
+def _open_session(
+    stack: contextlib.ExitStack, source: Source, config: PlannerConfig, *, device: str, seed: int, log: OptionalPath
+) -> Session:
+    """Return a session, which writes its log, until the stack closes."""
+    from aero_viz.flight.known_drone import config_for_flight
+    from aero_viz.session import Session
+
+    session = Session(source, config=config_for_flight(config, source.info), device=device, seed=seed)
+    stack.callback(session.close)
+    if log is not None:
+        from aero_viz.logs import record
+
+        stack.enter_context(record(session, log))
+    return session
+
+
+def _choices() -> list[tuple[str, str]]:
+    """Return what the page offers to open: text, and name or path."""
+    from aero_viz.catalog import shipped_recordings
+    from aero_viz.scenes import SCENES
+
+    return [
+        *((f"{name}: {kind.description}", name) for name, kind in SCENES.items()),
+        *((f"{name}: {text}", str(path)) for name, (path, text) in shipped_recordings().items()),
+    ]
 
 
 def _folders(spec: str, page_flags: PageFlags) -> list[Path]:

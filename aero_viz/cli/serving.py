@@ -53,6 +53,14 @@ class PageFlags:
     foxglove_origin: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ORIGIN")] = ()
     """Origin of another web page that may read the flight there, such as http://localhost:8080; may be repeated."""
 
+    def check(self) -> None:
+        """Check the flags that have a form of their own, before anything starts.
+
+        Raises:
+            UserError: as for `foxglove_port`.
+        """
+        _ = self.foxglove_port
+
     @property
     def foxglove_port(self) -> int | None:
         """The port for Foxglove; None if it is not served.
