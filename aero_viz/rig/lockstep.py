@@ -23,7 +23,7 @@ from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import HOST, PX4_RESPONSE, free_ports, ground_below, rig_settings
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LIDARS
+from aero_viz.sensors.lidar import LIDARS, LidarModel
 
 _PILOT_PERIOD = 0.1  # [s] between two attempts of the pilot to take off
 
@@ -36,6 +36,7 @@ class LockstepRig:
         world: where to fly.
         onboard: settings of the node; ports and the mount of the LiDAR are replaced.
         vehicle: model of the vehicle; None is the planner's with the response of PX4.
+        lidar: None is the Mid-360.
         hover_thrust: thrust setpoint at which the vehicle hovers, in [0, 1]; None is what the node assumes.
         loss_time: PX4's COM_OF_LOSS_T [s].
         plan_time: duration of a plan [s].
@@ -55,6 +56,7 @@ class LockstepRig:
         *,
         onboard: OnboardConfig | None = None,
         vehicle: VehicleModel | None = None,
+        lidar: LidarModel | None = None,
         hover_thrust: float | None = None,
         loss_time: float = 0.5,
         plan_time: float = 0.02,
@@ -66,7 +68,7 @@ class LockstepRig:
         self.tilts: list[float] = []
         self._world = world
         self._tick = 0
-        config, lidar = planner.config, LIDARS["mid360"]
+        config, lidar = planner.config, lidar or LIDARS["mid360"]
         lidar_port, mavlink_port = free_ports(2)
         onboard = (onboard or OnboardConfig()).replace(rig_settings(lidar, lidar_port, mavlink_port))
         direction = world.goal - world.start

@@ -16,9 +16,13 @@ from aero_viz.rig.lockstep import LockstepRig
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import PX4_RESPONSE
 from aero_viz.scenes import World
+from aero_viz.sensors import LIDARS, LidarModel
 
 CONFIG = PlannerConfig.preset("fast-cpu").replace({"vehicle.speed_limit": 5.0})
 LIMITS = OnboardConfig().limits
+MID360 = LIDARS["mid360"]
+QUARTER = LidarModel("quarter", pattern="livox", points_per_sweep=5000)
+"""A Mid-360 of a quarter of the points: it is the points that take most of the time."""
 GROUND = [15.0, 0, -0.5, 120, 80, 1, 0]
 
 
@@ -40,7 +44,7 @@ def test_a_moving_pillar_hits_a_drone_that_cannot_see_it(planner):
     """The drone hovers at its goal, with its LiDAR off, and a pillar comes to it."""
     start, pillar = np.array([0.0, 0, 2]), [[16.0, 0, 0, 0, 0, 1, 0.3, 8]]
     world = World("visit", start, start, np.array(pillar), np.array([GROUND]), motion=np.array([[-1.6, 0.0, 40.0]]))
-    with LockstepRig(planner, world) as rig:
+    with LockstepRig(planner, world, lidar=QUARTER) as rig:
         assert rig.take_over()
         rig.sensor.alive = False
         while not rig.collided:
@@ -78,15 +82,17 @@ def freeze(rig: LockstepRig) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "factor", "speed"), [(kill, 1.0, 0.35), (stop, 1.0, 0.4), (freeze, 1.0, 0.4), (kill, 0.7, 0.7)]
+    ("fault", "lidar", "factor", "speed"),
+    [(kill, QUARTER, 1.0, 0.35), (stop, QUARTER, 1.0, 0.4), (freeze, MID360, 1.0, 0.4), (kill, QUARTER, 0.7, 0.7)],
+    ids=["kill", "stop", "freeze", "kill a slower drone"],
 )
 def test_a_blind_drone_is_handed_back_at_rest_and_level(
-    planner: Planner, fault: Callable[[LockstepRig], None], factor: float, speed: float
+    planner: Planner, fault: Callable[[LockstepRig], None], lidar: LidarModel, factor: float, speed: float
 ):
     # The last drone responds otherwise than the node assumes.
     response = PX4_RESPONSE | {"rate_lag": 0.07 / factor, "drag": 0.3 * factor}
     vehicle = VehicleModel.from_config(CONFIG, **response)
-    with LockstepRig(planner, avenue((12.0, 0.6)), vehicle=vehicle, seed=1) as rig:
+    with LockstepRig(planner, avenue((12.0, 0.6)), vehicle=vehicle, seed=1, lidar=lidar) as rig:
         at_full_speed(rig)
         fault(rig)
         run_until_handed_back(rig)
@@ -107,7 +113,7 @@ def brake_without_fix(rig: LockstepRig) -> None:
 
 
 def test_a_drone_that_loses_its_gnss_fix_brakes_within_a_second_and_is_handed_back(planner: Planner):
-    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1) as rig:
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1, lidar=MID360) as rig:
         brake_without_fix(rig)
         rig.run(2.0)
         assert rig.speed < 0.5 and not rig.collided
@@ -119,7 +125,7 @@ def test_a_drone_that_loses_its_gnss_fix_brakes_within_a_second_and_is_handed_ba
 
 
 def test_a_drone_that_has_its_gnss_fix_again_flies_on(planner: Planner):
-    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1) as rig:
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1, lidar=QUARTER) as rig:
         brake_without_fix(rig)
         rig.run(1.0)
         rig.autopilot.lose_position(False)
@@ -128,7 +134,7 @@ def test_a_drone_that_has_its_gnss_fix_again_flies_on(planner: Planner):
 
 
 def test_a_paused_node_finds_a_slower_drone_and_flies_on(planner: Planner):
-    with LockstepRig(planner, avenue((12.0, 0.6)), seed=2) as rig:
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=2, lidar=QUARTER) as rig:
         at_full_speed(rig)
         before = rig.speed
         rig.node_runs = False
@@ -147,7 +153,7 @@ def test_a_paused_node_finds_a_slower_drone_and_flies_on(planner: Planner):
 def test_the_failsafe_process_brakes_around_an_obstacle_that_was_seen(planner: Planner):
     # A wall of posts across the way, with a gap to the left of the drone.
     wall = [(16.0, y) for y in np.arange(-3.0, 0.9, 0.5)]
-    with LockstepRig(planner, avenue(*wall), seed=3) as rig:
+    with LockstepRig(planner, avenue(*wall), seed=3, lidar=QUARTER) as rig:
         assert rig.take_over()
         while rig.autopilot.position[0] < 12.6:
             rig.run(0.02)
@@ -162,7 +168,7 @@ def test_the_failsafe_process_brakes_around_an_obstacle_that_was_seen(planner: P
 
 
 def test_a_pilot_who_takes_over_from_the_failsafe_process_is_left_alone(planner: Planner):
-    with LockstepRig(planner, avenue(), seed=4) as rig:
+    with LockstepRig(planner, avenue(), seed=4, lidar=QUARTER) as rig:
         at_full_speed(rig)
         kill(rig)
         rig.run(0.3)
@@ -173,7 +179,7 @@ def test_a_pilot_who_takes_over_from_the_failsafe_process_is_left_alone(planner:
 
 def test_a_restarted_flight_gives_the_same_result(planner: Planner):
     def fly() -> np.ndarray:
-        with LockstepRig(planner, avenue((8.0, 0.4)), seed=5) as rig:
+        with LockstepRig(planner, avenue((8.0, 0.4)), seed=5, lidar=QUARTER) as rig:
             assert rig.take_over()
             rig.run(2.0)
             return rig.autopilot.position
@@ -182,7 +188,7 @@ def test_a_restarted_flight_gives_the_same_result(planner: Planner):
 
 
 def test_the_drone_stands_on_the_ground_until_it_is_armed_and_the_node_notes_its_height(planner: Planner):
-    with LockstepRig(planner, avenue(), seed=6) as rig:
+    with LockstepRig(planner, avenue(), seed=6, lidar=QUARTER) as rig:
         rig.run(1.0)
         assert rig.autopilot.position[2] < 0.2 and not rig.autopilot.armed and rig.node.state is State.WAITING
         assert rig.node.ground.source is GroundSource.STANDING and abs(rig.node.ground.height) < 0.2
@@ -192,7 +198,7 @@ def test_the_drone_stands_on_the_ground_until_it_is_armed_and_the_node_notes_its
 
 def test_a_node_that_continues_after_it_was_handed_back_sends_nothing(planner: Planner):
     # The messages that waited for it still say that the drone obeys it.
-    with LockstepRig(planner, avenue(), seed=7) as rig:
+    with LockstepRig(planner, avenue(), seed=7, lidar=QUARTER) as rig:
         at_full_speed(rig)
         rig.node_runs = False
         rig.run(4.0)
