@@ -6,11 +6,13 @@ takes seconds to start, and every later one a fraction of a second.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +59,7 @@ def load_kernels(planner: Planner) -> None:
         planner.plan(state, Goal((5.0, 0.0, 0.0)), cloud)
 
 
-@contextmanager
+@contextlib.contextmanager
 def kernels_in(folder: str | Path) -> Iterator[Path]:
     """Make Warp keep its kernels in a folder, as with WARP_CACHE_PATH; yields the subfolder that Warp uses."""
     cache = _cache_in(folder)
@@ -73,9 +75,9 @@ def compile_ahead(
 ) -> list[Path]:
     """Compile all kernels into a folder, for this machine's CPU and for CUDA architectures, such as 87 for an Orin.
 
-    Those for the CPU are copied from Warp's cache, where they may be already. No GPU is needed. A process that is
-    started with the folder in the environment variable WARP_CACHE_PATH compiles nothing, if its Warp has the same
-    version. Call this in a new process: kernels that are already loaded are not loaded again.
+    They are copied from Warp's cache, where they may be already. No GPU is needed. A process that is started with the
+    folder in the environment variable WARP_CACHE_PATH compiles nothing, if its Warp has the same version. Call this in
+    a new process: kernels that are already loaded are not loaded again.
 
     Args:
         folder: folder for the binaries; created if it does not exist.
@@ -94,9 +96,8 @@ def compile_ahead(
     if cpu:
         warmup(config)
         _copy_kernels_for_cpu(cache)
-    with kernels_in(folder):
-        for architecture in architectures:
-            _compile_for_cuda(architecture)
+    for architecture in architectures:
+        _compile_for_cuda(architecture, cache)
     return sorted(path for path in cache.rglob("*") if path.suffix in (".o", ".cubin", ".ptx"))
 
 
@@ -120,13 +121,22 @@ def _copy_kernels_for_cpu(folder: Path) -> None:
                         shutil.copyfile(path, folder / name / path.name)
 
 
-def _compile_for_cuda(architecture: int) -> None:
+def _compile_for_cuda(architecture: int, folder: Path) -> None:
+    """Copy the kernels for a GPU from Warp's cache into a folder, after compiling those that are not there."""
     for module, block_dims in _cuda_modules():
         default = module.options["block_dim"]
         try:
             for block_dim in block_dims:
                 module.options["block_dim"] = block_dim
-                wp.compile_aot_module(module, arch=architecture)
+                name = module.get_module_identifier(block_dim)
+                cached = Path(wp.config.kernel_cache_dir or "", name)
+                if not any(cached.glob(f"*.sm{architecture}.cubin")):
+                    wp.compile_aot_module(module, arch=architecture, module_dir=folder / name)
+                    _keep(folder / name, cached)
+                    continue
+                (folder / name).mkdir(exist_ok=True)
+                for path in (*cached.glob(f"*.sm{architecture}.cubin"), *cached.glob("*.meta")):
+                    shutil.copyfile(path, folder / name / path.name)
         except Exception as error:
             raise ValueError(
                 f"kernels can't be compiled for architecture {architecture!r}: {error}; "
@@ -134,6 +144,15 @@ def _compile_for_cuda(architecture: int) -> None:
             ) from error
         finally:
             module.options["block_dim"] = default
+
+
+def _keep(compiled: Path, cached: Path) -> None:
+    """Copy the kernels of a module for a GPU into Warp's cache, which never holds a part of a file."""
+    with contextlib.suppress(OSError):  # the next export compiles them again
+        cached.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=cached) as temporary:
+            for path in (*compiled.glob("*.meta"), *compiled.glob("*.cubin")):
+                os.replace(shutil.copyfile(path, Path(temporary, path.name)), cached / path.name)
 
 
 def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:

@@ -74,6 +74,16 @@ def test_kernels_that_are_compiled_already_are_copied(kernels: tuple[Path, list[
     assert (tmp_path / "copies" / damaged.relative_to(folder)).stat().st_size > 1000
 
 
+def test_kernels_for_a_gpu_are_copied_once_they_are_compiled(
+    bundle: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr(wp, "compile_aot_module", None)
+    copies = compile_ahead(tmp_path, architectures=[87], cpu=False)
+    assert {path.name for path in copies} == {path.name for path in bundle.glob("kernels/*/*.cubin")}
+    for path in copies:
+        assert path.read_bytes() == (bundle / "kernels" / path.parent.name / path.name).read_bytes()
+
+
 def test_warmup_on_every_device(device: str):
     assert warmup(config_of(sampling__steps=12), device) > 0.0
 
