@@ -124,7 +124,7 @@ def test_ctrl_c_and_sigterm_print_the_result_so_far(tmp_path: Path, is_logged: b
     log = tmp_path / "flight.mcap"
     options = ["--trajectory", str(tmp_path / "t.csv"), *(["--log", str(log)] if is_logged else [])]
     code, printed, _ = run_in_terminal(
-        *("fly", "forest", "--count", "20", *options),
+        *("fly", "forest", "--count", "20", "--sampling.samples", "16", *options),
         interrupt_at=lambda shown: bool(re.search(r"[1-9]\d*\.\d s flown", shown)),
         interrupt_by=number,
     )

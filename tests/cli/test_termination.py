@@ -29,7 +29,7 @@ def processes_with(tag: str) -> list[Path]:
     ("program", "arguments", "line", "code"),
     [
         ("aero_viz", ("demo", "{world}", "--port", "0", "--sampling.samples", "16"), " at http", 0),
-        ("aero_viz", ("play", "--port", "0"), "forest_mid360.mcap at http", 0),
+        ("aero_viz", ("play", "--port", "0", "--sampling.samples", "16"), "forest_mid360.mcap at http", 0),
         ("aero_viz", ("connect", "127.0.0.1", "--drone-port", "{port}", "--port", "0"), " at http", 0),
         ("aero_planner", ("rig", "{world}"), "node started", 130),
     ],

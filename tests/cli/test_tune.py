@@ -87,7 +87,7 @@ def test_ctrl_c_and_sigterm_write_the_best_so_far(short_poles: str, tmp_path: Pa
 
 def test_sigterm_ends_the_page_of_a_study_after_the_result(short_poles: str, tmp_path: Path):
     path, storage = tmp_path / "tuned.yaml", ["--storage", f"sqlite:///{tmp_path}/tune.db"]
-    few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "500"]
+    few = ["--flights", "1", "--rungs", "1", "--trials", "3", "--check", "50"]
     code, printed, shown = run_in_terminal(
         *("tune", short_poles, *CRIPPLED, *few, *storage, "--page", "--port", "0", "--output", str(path)),
         interrupt_at=lambda shown: "fresh worlds" in shown and "AERO-Viz shows" in shown,

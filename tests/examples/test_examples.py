@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+SERVED = "own_layer"
+"""The example that serves its page until Enter is pressed."""
 EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 OUTPUT = {
     "plan_once": r"OK: 17 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
@@ -16,7 +18,7 @@ OUTPUT = {
     "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
     "replay_recording": r"flight\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
     "own_source": r"crossing ball: arrived after ",
-    "own_layer": r"http://127\.0\.0\.1:\d+",
+    SERVED: r"http://127\.0\.0\.1:\d+",
     "own_cost_term": r"weight +0: arrived, .*weight +200: arrived, ",
     "own_vehicle": r"default: \w+ after .*matched: arrived after ",
 }
@@ -26,7 +28,7 @@ def test_each_example_has_an_expected_output():
     assert sorted(EXAMPLES) == sorted(OUTPUT)
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
+@pytest.mark.parametrize("name", [name for name in EXAMPLES if name != SERVED])
 def test_an_example_prints_its_results_only(name: str, tmp_path: Path):
     command = [sys.executable, str(EXAMPLES[name])]
     result = subprocess.run(command, input="\n", capture_output=True, text=True, cwd=tmp_path, timeout=300)
@@ -48,15 +50,18 @@ def test_an_example_is_short_and_explains_itself(name: str):
     assert text.startswith('"""')
 
 
-def test_the_page_of_an_example_is_served_until_enter(tmp_path: Path):
-    command = [sys.executable, "-u", str(EXAMPLES["own_layer"])]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+def test_the_page_of_an_example_is_served_until_enter_and_its_address_is_printed_only(tmp_path: Path):
+    command = [sys.executable, "-u", str(EXAMPLES[SERVED])]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
         assert process.stdout is not None
-        address = process.stdout.readline().strip()
-        with urllib.request.urlopen(address, timeout=60) as page:
+        address = process.stdout.readline()
+        with urllib.request.urlopen(address.strip(), timeout=60) as page:
             assert page.status == 200
-        process.communicate("\n", timeout=60)
-    assert process.returncode == 0
+        printed, error = process.communicate("\n", timeout=60)
+    assert (process.returncode, error) == (0, "")
+    assert re.search(OUTPUT[SERVED], address + printed, flags=re.DOTALL), address + printed
 
 
 def test_the_readme_lists_every_example():

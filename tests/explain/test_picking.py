@@ -65,11 +65,11 @@ def test_a_point_that_an_obstacle_has_left_says_so(among_pillars):
 
     old = sweeps[-7]
     near = old[(np.linalg.norm(old - among_pillars.observation.state.position, axis=1) < 8.0) & (old[:, 2] > 0.5)]
-    gone = left_out(near[:: max(len(near) // 1500, 1)])
+    gone = left_out(near[:: max(len(near) // 200, 1)])
     world = among_pillars.world
     assert len(gone) > 5
     assert np.median(world.distance(np.array(gone))) > 0.2, "nothing stands there any more"
-    assert len(left_out(sweeps[-1][::50])) == 0
+    assert len(left_out(sweeps[-1][::100])) == 0
 
 
 def test_a_click_behind_everything_picks_a_point_or_nothing(frame):

@@ -121,7 +121,7 @@ def test_progress_goes_from_start_to_goal(tmp_path):
         def note(share: float, time: float, calls: list[tuple[float, float]] = calls) -> None:
             calls.append((share, time))
 
-        result = fly(world, progress=note, recorder=recorder, speed=2.0, **OPTIONS)
+        result = fly(world, progress=note, recorder=recorder, speed=4.0, **OPTIONS)
         shares, times = np.array(calls).T
         assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7
         assert np.all(np.diff(times) > 0.0) and times[-1] == pytest.approx(result.flight_time_s)

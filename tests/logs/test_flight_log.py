@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from mcap_ros2.decoder import DecoderFactory
 from aero_planner import PlannerConfig, Sweeps
 from aero_planner.config.file import load_config
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightSource, fly
+from aero_viz.flight import FlightResult, FlightSource, fly
 from aero_viz.logs import FlightLog, flight_log, flight_recorder, record
 from aero_viz.logs.flight_messages import new_sweeps
 from aero_viz.recordings import RecordingSource, inspect, open_recording
@@ -195,14 +196,32 @@ def test_changes_from_the_page_are_logged(session, tmp_path):
     assert inspect(path).pose_topic == "/odometry"
 
 
-def test_play_sees_the_flight_that_was_logged(tmp_path):
+class Logged(NamedTuple):
+    """A whole flight: where it was logged, and its result."""
+
+    log: Path
+    trajectory: Path
+    result: FlightResult
+
+
+OPTIONS: dict[str, Any] = {"config": CONFIG, "seed": 4, "lidar": LIDAR, "speed": 4.0}
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
+    """A flight to the goal behind a wall."""
+    log, trajectory = (tmp_path_factory.mktemp("flight") / name for name in ("a.mcap", "a.csv"))
     world = scene("wall", seed=1)
-    result = fly(world, recorder=flight_recorder(tmp_path / "a.mcap"), config=CONFIG, seed=4, lidar=LIDAR, speed=2.0)
-    info = inspect(tmp_path / "a.mcap")
+    return Logged(log, trajectory, fly(world, recorder=flight_recorder(log), trajectory=trajectory, **OPTIONS))
+
+
+def test_play_sees_the_flight_that_was_logged(logged: Logged):
+    world, result = scene("wall", seed=1), logged.result
+    info = inspect(logged.log)
     ticks = round(result.flight_time_s / 0.02)
     assert (info.sweeps, info.poses, info.points_topic) == (30 + ticks // 5, ticks + 1, "/sweep")
     assert info.problems == ()
-    with open_recording(tmp_path / "a.mcap") as recording:
+    with open_recording(logged.log) as recording:
         assert recording.poses is not None and recording.poses.measured_velocity
         source = RecordingSource(recording)
         source.seek(1.0)
@@ -219,13 +238,10 @@ def test_the_cloud_at_the_start_of_a_short_log_does_not_count_as_sweeps_at_a_hig
     assert "dropped-sweeps" not in [finding.code for finding in info.findings]
 
 
-def test_logging_does_not_change_the_flight(tmp_path):
-    world = scene("wall", seed=1)
-    options = {"config": CONFIG, "seed": 4, "lidar": LIDAR, "speed": 2.0}
-    logged = fly(world, recorder=flight_recorder(tmp_path / "a.mcap"), trajectory=tmp_path / "a.csv", **options)
-    plain = fly(world, trajectory=tmp_path / "b.csv", **options)
-    assert (logged.reason, logged.smoothness) == (plain.reason, plain.smoothness)
-    assert (tmp_path / "a.csv").read_text() == (tmp_path / "b.csv").read_text()
+def test_logging_does_not_change_the_flight(logged: Logged, tmp_path: Path):
+    plain = fly(scene("wall", seed=1), trajectory=tmp_path / "b.csv", **OPTIONS)
+    assert (logged.result.reason, logged.result.smoothness) == (plain.reason, plain.smoothness)
+    assert logged.trajectory.read_text() == (tmp_path / "b.csv").read_text()
 
 
 def test_stamps_increase_when_the_session_goes_back(session, tmp_path):

@@ -22,7 +22,7 @@ TRACK = ParameterRange("costs.q_track", 0.5, 50.0)
 QUICK = FlightRules(ticks_per_plan=5)
 
 
-def fly(storage: str, *, trials: int, rules: FlightRules = QUICK, **search: Any) -> None:
+def fly(storage: str, *, trials: int, flights: int = 2, rules: FlightRules = QUICK, **search: Any) -> None:
     world = small_source(goal=7.0).info.world
     assert world is not None
     how = dataclasses.replace(SearchOptions(trials, generation=4, rungs=1), **search)
@@ -30,7 +30,7 @@ def fly(storage: str, *, trials: int, rules: FlightRules = QUICK, **search: Any)
     tune(
         small_config(),
         [SPEED, TRACK],
-        [world] * 2,
+        [world] * flights,
         [world],
         search=how,
         flight=options,
@@ -87,7 +87,7 @@ def test_a_study_is_followed_while_it_is_flown(tmp_path: Path) -> None:
 
 def test_importance_finds_the_parameter_that_matters(tmp_path: Path) -> None:
     storage = f"sqlite:///{tmp_path}/tune.db"
-    fly(storage, trials=16, sampler="random", generation=16)
+    fly(storage, trials=16, flights=1, sampler="random", generation=16)
     first, second = StoredStudy(storage, "poles").read().importance
     assert first.path == "vehicle.speed_limit" and first.share > 2 * second.share
 
