@@ -15,7 +15,7 @@ drone = VehicleModel(
     gust_speed=1.0,  # [m/s]
 )
 noise = StateNoise(position=0.03, velocity=0.05, attitude=0.5)  # of the state estimate [m], [m/s], [deg]
-world = scene("forest", seed=3)
+world = scene("random_clutter", seed=3)
 
 # The planner's own model of the drone: by default it has a mass of 1 kg and no lags.
 configs = {
