@@ -281,7 +281,7 @@ def serve(
 
             server = LocalServer(host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
             stack.callback(server.stop)
-            note = server.gui.add_html(_STARTING)
+            note = server.gui.add_markdown(_STARTING)
             source = opener(spec, seed=seed)
             shutdown = shutdown_event()
             announce(spec, server, page_flags)
