@@ -187,9 +187,9 @@ def test_the_commands_serve_while_the_page_waits_and_end_with_ctrl_c(arguments: 
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
-            line = process.stdout.readline()
-            assert line.startswith("Foxglove: ws://127.0.0.1:")
-            with client(line.split()[1]) as (connection, channels):
+            page, foxglove = process.stdout.readline(), process.stdout.readline()
+            assert " at http" in page and foxglove.startswith("Foxglove: ws://127.0.0.1:")
+            with client(foxglove.split()[1]) as (connection, channels):
                 read(connection, channels, TOPICS)
                 process.send_signal(signal.SIGINT)
                 _, error = process.communicate(timeout=60)
