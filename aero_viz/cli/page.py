@@ -272,7 +272,7 @@ def serve(
     """
     with contextlib.ExitStack() as stack:
         with quick_imports():
-            # What the user must correct is said before the address.
+            # Errors that the user must correct come before the address.
             shown_study, folders = study.open(), _folders(spec, page_flags)
             find_device(device)
             page_flags.check()

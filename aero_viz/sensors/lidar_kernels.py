@@ -96,7 +96,7 @@ def scan(with_triangles: bool) -> wp.Kernel:
     """Return the kernel that measures a part of a sweep in worlds with or without triangles."""
     cast = ray_range(with_triangles)
 
-    # A multiprocessor must hold four blocks. With as many registers as the kernel would like it holds two.
+    # Limits the registers so that a multiprocessor holds four blocks; without the limit it holds two.
     @wp.kernel(module="unique", enable_backward=False, launch_bounds=(256, 4))
     def scan(
         # problem

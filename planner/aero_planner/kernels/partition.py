@@ -22,7 +22,7 @@ from aero_planner.kernels.warp_ops import add_count, minimum_over, near_root, re
 wp.set_module_options({"enable_backward": False})
 
 EMPTY = wp.constant(wp.uint64(0))
-"""Key of a fine cell that holds no point, less than all others. A GPU fills memory with zeros faster than a kernel."""
+"""Key of a fine cell that holds no point: less than all others, and zero, so that a memory fill resets the keys."""
 
 
 @wp.func
@@ -66,7 +66,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
     Reals = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.float32)
     Integers = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.int32)
 
-    # A multiprocessor must hold four blocks. With as many registers as the kernel would like it holds two.
+    # Limits the registers so that a multiprocessor holds four blocks; without the limit it holds two.
     @wp.kernel(module="unique", enable_backward=False, launch_bounds=(256, 4))
     def scatter_points(
         # share of the points

@@ -34,7 +34,7 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
     clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
     Pack: Any = point_pack(tuning.points_per_pack)
 
-    # For a batch, a multiprocessor must hold eight blocks, as in `scatter_points`. One drone does not fill it anyway.
+    # For a batch, limits the registers so that a multiprocessor holds eight blocks. One drone does not fill it anyway.
     bounds = (128, 8) if tuning.rows_per_sample_query > 1 else None
 
     @wp.kernel(module="unique", enable_backward=False, launch_bounds=bounds)
