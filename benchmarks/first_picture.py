@@ -48,7 +48,7 @@ def start_times(root: Path, browser: Browser, byte_code: str) -> dict[str, float
     Args:
         root: the checkout.
         browser: browser that runs already.
-        byte_code: folder of Python's byte code, which an installed program has.
+        byte_code: folder for Python's byte code, so that later starts find it compiled, as with an installed program.
 
     Returns:
         "address_s" and "picture_s" since the start; "cpu_s", the processor time that the server has taken until then.
@@ -72,7 +72,9 @@ def start_times(root: Path, browser: Browser, byte_code: str) -> dict[str, float
             words = demo.stdout.readline().split()
             address = time.time()
             if not words:
-                raise ValueError(f"the demo of {root} ended: {demo.stderr.read().strip().splitlines()[-1:]}")
+                raise ValueError(
+                    f"the demo of {root} ended: {(demo.stderr.read().strip().splitlines() or ['no message'])[-1]}"
+                )
             page.goto(next(word for word in words if word.startswith("http")), wait_until="commit")
             page.wait_for_function("window.pictureTime", timeout=_TIMEOUT_MS, polling=100)
             picture = page.evaluate("window.pictureTime")

@@ -50,7 +50,7 @@ _FLIGHT = FlightFlags()
 _RECORDING = RecordingFlags()
 _STUDY = StudyFlags()
 _WORLD = WorldFlags()
-_STARTING = "The planner starts. Kernels that are new to this machine take a minute to compile."
+_STARTING = "The planner is starting. Compiling kernels that are new to this machine takes a minute."
 """Text on a page that is opened before there is anything to show."""
 
 
@@ -272,7 +272,7 @@ def serve(
     """
     with contextlib.ExitStack() as stack:
         with quick_imports():
-            # Errors that the user must correct come before the address.
+            # Errors in the flags come before the address; those of the session, the log and Foxglove after it.
             shown_study, folders = study.open(), _folders(spec, page_flags)
             find_device(device)
             page_flags.check()
@@ -283,16 +283,20 @@ def serve(
             stack.callback(server.stop)
             note = server.gui.add_markdown(_STARTING)
             source = opener(spec, seed=seed)
+            try:
+                announce(spec, server, page_flags)
+                session = _open_session(stack, source, config, device=device, seed=seed, log=log)
+            except KeyboardInterrupt:
+                return  # also while kernels are compiled
             shutdown = shutdown_event()
-            announce(spec, server, page_flags)
-
-            session = _open_session(stack, source, config, device=device, seed=seed, log=log)
             serve_foxglove(stack, session, page_flags)
             session.start(play=False)
 
             from aero_viz.dashboard.first_picture import show_first_picture
 
             drawn = show_first_picture(session, server, is_over=shutdown.is_set)
+            if shutdown.is_set():
+                return
             note.remove()
 
             from aero_viz.dashboard import Dashboard
@@ -321,7 +325,7 @@ def serve(
 def _open_session(
     stack: contextlib.ExitStack, source: Source, config: PlannerConfig, *, device: str, seed: int, log: OptionalPath
 ) -> Session:
-    """Return a session, which writes its log, until the stack closes."""
+    """Open a session, and its log if there is one; the stack closes both."""
     from aero_viz.flight.known_drone import config_for_flight
     from aero_viz.session import Session
 

@@ -54,7 +54,7 @@ class PageFlags:
     """Origin of another web page that may read the flight there, such as http://localhost:8080; may be repeated."""
 
     def check(self) -> None:
-        """Check the flags that have a form of their own, before anything starts.
+        """Check the flags for Foxglove before anything starts.
 
         Raises:
             UserError: as for `foxglove_port`.
@@ -179,15 +179,23 @@ def announce(subject: str, server: LocalServer, page_flags: PageFlags) -> None:
 
 
 def play_when_drawn(session: Session, dashboard: Dashboard) -> None:
-    """Start playback when the first page shows everything, so that nobody misses the start."""
+    """Start playback when the first page shows everything, so that nobody misses the start.
+
+    A visitor who has begun to play or to step meanwhile goes on from there.
+    """
     from aero_viz.dashboard.scripts import wait_until_drawn
 
     is_first = threading.Semaphore()
 
+    def tick() -> int | None:
+        return None if session.frame is None else session.frame.index
+
     def start_playback(client: Any) -> None:
         if is_first.acquire(blocking=False):
+            first = tick()
             dashboard.drain()
             wait_until_drawn(client)
-            session.play()
+            if tick() == first:
+                session.play()
 
     dashboard.server.on_client_connect(start_playback)

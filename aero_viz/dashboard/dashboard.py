@@ -55,7 +55,7 @@ class Dashboard:
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
-        server: web server to use; None starts one, for which host, port and allowed hosts are.
+        server: web server to use; None starts one with `host`, `port` and `allowed_hosts`, which are ignored otherwise.
         drawn: layers that the server shows already, see `show_first_picture`.
 
     Raises:

@@ -27,7 +27,7 @@ def show_first_picture(session: BaseSession, server: LocalServer, *, is_over: Ca
     Args:
         session: running session.
         server: server without any layers.
-        is_over: called often; True ends the wait.
+        is_over: called while waiting for a plan or a visitor; True ends that wait.
     """
     layers: list[Layer] = [CloudLayer(server), RolloutLayer(server)]
     deadline = time.monotonic() + _WAIT_MAX

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import time
 
 import viser
 from viser import _messages
@@ -23,6 +24,7 @@ def wait_until_drawn(client: viser.ClientHandle) -> None:
 
     A page handles its messages in order, between two pictures. It therefore answers when it has drawn what came before.
     """
+    deadline = time.monotonic() + _DRAWN_MAX
     with contextlib.suppress(RuntimeError, TimeoutError):
         for _ in range(_PICTURES):
-            client.local_storage.get_item("aero-viz-drawn", timeout=_DRAWN_MAX / _PICTURES)
+            client.local_storage.get_item("aero-viz-drawn", timeout=max(deadline - time.monotonic(), 0.0))

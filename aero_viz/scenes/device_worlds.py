@@ -42,7 +42,7 @@ class DeviceWorlds:
     Attributes:
         geometry: `Geometry` of the distinct worlds, for kernels.
         index: world of each flight, int [B], on the device.
-        has_triangles: True if any of the worlds consists of triangles too.
+        has_triangles: True if any of the worlds contains triangles.
         device: Warp device.
     """
 

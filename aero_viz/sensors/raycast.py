@@ -119,7 +119,7 @@ def cell_exit(index: int, cell: float, lower: float, inverse: float):
 
 @functools.cache
 def ray_range(with_triangles: bool) -> wp.Function:
-    """Return the function that casts a ray. Without triangles it needs far fewer registers, which CUDA has few of."""
+    """Return the function that casts a ray. Without triangles it needs fewer registers, which are scarce on CUDA."""
 
     @wp.func
     def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec3, range_max: float, time: float):

@@ -124,8 +124,9 @@ class Pipeline(LaunchSequence):
         ]
         # A GPU starts the first launches one after another, in the order in which they are recorded.
         self.stages[PLAN] = [predict, scan, place_anchors, movers, *plan]
-        if self._device.is_cpu:  # here a plan may be interrupted before it ends
-            self.stages[PLAN].insert(0, self.serial("partition", reset_keys))
+        if self._device.is_cpu:  # here the plan before may have been interrupted
+            reset = self.serial("partition", reset_keys, arrays.work.worker_dropped.zero_)
+            self.stages[PLAN].insert(0, reset)
         if arrays.change is not None and self._device.is_cuda:
             sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
             self.stages[PLAN_AND_ARRIVAL] = [

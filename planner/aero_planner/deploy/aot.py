@@ -129,14 +129,14 @@ def _compile_for_cuda(architecture: int, folder: Path) -> None:
             for block_dim in block_dims:
                 module.options["block_dim"] = block_dim
                 name = module.get_module_identifier(block_dim)
-                cached = Path(wp.config.kernel_cache_dir or "", name)
+                cached, target = Path(wp.config.kernel_cache_dir or "", name), folder / name
                 if not any(cached.glob(f"*.sm{architecture}.cubin")):
-                    wp.compile_aot_module(module, arch=architecture, module_dir=folder / name)
-                    _keep(folder / name, cached)
-                    continue
-                (folder / name).mkdir(exist_ok=True)
-                for path in (*cached.glob(f"*.sm{architecture}.cubin"), *cached.glob("*.meta")):
-                    shutil.copyfile(path, folder / name / path.name)
+                    wp.compile_aot_module(module, arch=architecture, module_dir=target)
+                    _keep(target, cached)
+                elif cached.resolve() != target.resolve():
+                    target.mkdir(exist_ok=True)
+                    for path in (*cached.glob(f"*.sm{architecture}.cubin"), *cached.glob("*.meta")):
+                        shutil.copyfile(path, target / path.name)
         except Exception as error:
             raise ValueError(
                 f"kernels can't be compiled for architecture {architecture!r}: {error}; "
