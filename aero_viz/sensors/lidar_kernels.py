@@ -1,12 +1,13 @@
 """Warp kernels of the simulated LiDAR: beam directions over time, and scans with noise and dropout."""
 
-# Postponed annotations are left out: kernels made for a case refer to local functions.
+# Postponed annotations are left out: kernels made for a case refer to local names.
 
 import functools
 
 import warp as wp
 
 from aero_viz.scenes.geometry import Geometry
+from aero_viz.scenes.triangles import mesh_range
 from aero_viz.sensors.raycast import ray_range
 
 wp.set_module_options({"enable_backward": False})
@@ -93,8 +94,10 @@ def attitude_between(before: wp.vec4, after: wp.vec4, share: float):
 
 @functools.cache
 def scan(with_triangles: bool) -> wp.Kernel:
-    """Return the kernel that measures a part of a sweep in worlds with or without triangles."""
-    cast = ray_range(with_triangles)
+    """Return the kernel that measures a part of a sweep in worlds with or without triangles.
+
+    The query of triangles takes many registers, which are scarce on CUDA, and few worlds need it.
+    """
 
     # Limits the registers so that a multiprocessor holds four blocks; without the limit it holds two.
     @wp.kernel(module="unique", enable_backward=False, launch_bounds=(256, 4))
@@ -132,7 +135,10 @@ def scan(with_triangles: bool) -> wp.Kernel:
         origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
         direction = wp.quat_rotate(attitude, beam)
         time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
-        distance = cast(geometry, world[b], origin, direction, beams.range_max, time)
+        triangle = float(wp.inf)
+        if wp.static(with_triangles):
+            triangle = mesh_range(geometry.meshes[world[b]], origin, direction, beams.range_max)
+        distance = ray_range(geometry, world[b], origin, direction, triangle, beams.range_max, time)
         point = wp.vec3(wp.nan, wp.nan, wp.nan)
         if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
             random = wp.rand_init(seeds[b], index)

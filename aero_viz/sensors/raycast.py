@@ -5,9 +5,8 @@ cell by cell from the sensor is therefore two to ten times as fast as a bounding
 built-in scenes. Triangles are queried in Warp's hierarchy first; a hit there shortens the traversal of the grid.
 """
 
-# Postponed annotations are left out: functions made for a case refer to local names.
+from __future__ import annotations
 
-import functools
 import math
 
 import warp as wp
@@ -117,78 +116,76 @@ def cell_exit(index: int, cell: float, lower: float, inverse: float):
     return wp.where(inverse == 0.0, FAR, distance)
 
 
-@functools.cache
-def ray_range(with_triangles: bool) -> wp.Function:
-    """Return the function that casts a ray. Without triangles it needs fewer registers, which are scarce on CUDA."""
+@wp.func
+def ray_range(
+    geometry: Geometry,
+    world: int,
+    origin: wp.vec3,
+    direction: wp.vec3,
+    triangle: float,
+    range_max: float,
+    time: float,
+):
+    """Distance along a unit direction to the nearest solid of a world [m]; inf if none is within range_max.
 
-    @wp.func
-    def ray_range(geometry: Geometry, world: int, origin: wp.vec3, direction: wp.vec3, range_max: float, time: float):
-        """Distance along a unit direction to the nearest solid of a world [m]; inf if none is within range_max.
+    `triangle` is the distance to the nearest triangle [m], see `mesh_range`; inf in a world without triangles.
+    The cylinders that move are where they are at `time` [s]. Every ray tests all of them: they are few, and a grid
+    would have to be filled again at every tick.
+    """
+    grid = geometry.grids[world]
+    nearest = float(triangle)
+    for i in range(grid.first_large, grid.end_large):
+        nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
 
-        The cylinders that move are where they are at `time` [s]. Every ray tests all of them: they are few, and a grid
-        would have to be filled again at every tick.
-        """
-        grid = geometry.grids[world]
-        nearest = float(wp.inf)
-        if wp.static(with_triangles):
-            nearest = mesh_range(geometry.meshes[world], origin, direction, range_max)
-        for i in range(grid.first_large, grid.end_large):
-            nearest = wp.min(nearest, primitive_range(geometry.primitives[geometry.large[i]], origin, direction))
+    for i in range(geometry.first_mover[world], geometry.first_mover[world + 1]):
+        nearest = wp.min(nearest, cylinder_range(mover_at(geometry.movers[i], time), origin, direction))
 
-        for i in range(geometry.first_mover[world], geometry.first_mover[world + 1]):
-            nearest = wp.min(nearest, cylinder_range(mover_at(geometry.movers[i], time), origin, direction))
+    # The part of the ray inside the grid.
+    enter = float(0.0)
+    leave = wp.min(range_max, nearest)
+    inverse = wp.vec3(inverse_of(direction[0]), inverse_of(direction[1]), inverse_of(direction[2]))
+    for i in range(3):
+        if inverse[i] != 0.0:
+            low = (grid.lower[i] - origin[i]) * inverse[i]
+            high = (grid.upper[i] - origin[i]) * inverse[i]
+            enter = wp.max(enter, wp.min(low, high))
+            leave = wp.min(leave, wp.max(low, high))
+        elif origin[i] < grid.lower[i] or origin[i] > grid.upper[i]:
+            leave = -1.0
 
-        # The part of the ray inside the grid.
-        enter = float(0.0)
-        leave = wp.min(range_max, nearest)
-        inverse = wp.vec3(inverse_of(direction[0]), inverse_of(direction[1]), inverse_of(direction[2]))
-        for i in range(3):
-            if inverse[i] != 0.0:
-                low = (grid.lower[i] - origin[i]) * inverse[i]
-                high = (grid.upper[i] - origin[i]) * inverse[i]
-                enter = wp.max(enter, wp.min(low, high))
-                leave = wp.min(leave, wp.max(low, high))
-            elif origin[i] < grid.lower[i] or origin[i] > grid.upper[i]:
-                leave = -1.0
-
-        if enter <= leave:
-            column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.cell, grid.columns)
-            row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.cell, grid.rows)
-            level = cell_index(origin[2] + enter * direction[2] - grid.lower[2], grid.layer, grid.layers)
-            while enter <= leave:
-                exit_x = cell_exit(column, grid.cell, grid.lower[0] - origin[0], inverse[0])
-                exit_y = cell_exit(row, grid.cell, grid.lower[1] - origin[1], inverse[1])
-                exit_z = cell_exit(level, grid.layer, grid.lower[2] - origin[2], inverse[2])
-                out = wp.min(wp.min(leave, exit_z), wp.min(exit_x, exit_y))
-                z_in = origin[2] + enter * direction[2]
-                z_out = origin[2] + out * direction[2]
-                cell = grid.first_cell + (column * grid.rows + row) * grid.layers + level
-                for e in range(geometry.cells[cell], geometry.cells[cell + 1]):
-                    entry = geometry.entries[e]
-                    if wp.max(z_in, z_out) >= entry.bottom and wp.min(z_in, z_out) <= entry.top:
-                        hit = primitive_range(geometry.primitives[entry.primitive], origin, direction)
-                        nearest = wp.min(nearest, hit)
-                # Beyond this cell there may be a nearer hit in the next one.
-                leave = wp.min(leave, nearest)
-                enter = out
-                outside = False
-                if exit_z < exit_x and exit_z < exit_y:
-                    level += wp.where(direction[2] > 0.0, 1, -1)
-                    outside = level < 0 or level >= grid.layers
-                elif exit_x < exit_y:
-                    column += wp.where(direction[0] > 0.0, 1, -1)
-                    outside = column < 0 or column >= grid.columns
-                else:
-                    row += wp.where(direction[1] > 0.0, 1, -1)
-                    outside = row < 0 or row >= grid.rows
-                if out >= leave or outside:
-                    enter = leave + 1.0
-        return wp.where(nearest <= range_max, nearest, wp.inf)
-
-    return ray_range
-
-
-_ray_range = ray_range(True)
+    if enter <= leave:
+        column = cell_index(origin[0] + enter * direction[0] - grid.lower[0], grid.cell, grid.columns)
+        row = cell_index(origin[1] + enter * direction[1] - grid.lower[1], grid.cell, grid.rows)
+        level = cell_index(origin[2] + enter * direction[2] - grid.lower[2], grid.layer, grid.layers)
+        while enter <= leave:
+            exit_x = cell_exit(column, grid.cell, grid.lower[0] - origin[0], inverse[0])
+            exit_y = cell_exit(row, grid.cell, grid.lower[1] - origin[1], inverse[1])
+            exit_z = cell_exit(level, grid.layer, grid.lower[2] - origin[2], inverse[2])
+            out = wp.min(wp.min(leave, exit_z), wp.min(exit_x, exit_y))
+            z_in = origin[2] + enter * direction[2]
+            z_out = origin[2] + out * direction[2]
+            cell = grid.first_cell + (column * grid.rows + row) * grid.layers + level
+            for e in range(geometry.cells[cell], geometry.cells[cell + 1]):
+                entry = geometry.entries[e]
+                if wp.max(z_in, z_out) >= entry.bottom and wp.min(z_in, z_out) <= entry.top:
+                    hit = primitive_range(geometry.primitives[entry.primitive], origin, direction)
+                    nearest = wp.min(nearest, hit)
+            # Beyond this cell there may be a nearer hit in the next one.
+            leave = wp.min(leave, nearest)
+            enter = out
+            outside = False
+            if exit_z < exit_x and exit_z < exit_y:
+                level += wp.where(direction[2] > 0.0, 1, -1)
+                outside = level < 0 or level >= grid.layers
+            elif exit_x < exit_y:
+                column += wp.where(direction[0] > 0.0, 1, -1)
+                outside = column < 0 or column >= grid.columns
+            else:
+                row += wp.where(direction[1] > 0.0, 1, -1)
+                outside = row < 0 or row >= grid.rows
+            if out >= leave or outside:
+                enter = leave + 1.0
+    return wp.where(nearest <= range_max, nearest, wp.inf)
 
 
 @wp.kernel
@@ -205,7 +202,8 @@ def cast_kernel(
     ranges: wp.array2d(dtype=float),  # [B, R]
 ):
     b, i = wp.tid()
-    ranges[b, i] = _ray_range(geometry, world[b], origins[b], directions[b, i], range_max, time)
+    triangle = mesh_range(geometry.meshes[world[b]], origins[b], directions[b, i], range_max)
+    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], triangle, range_max, time)
 
 
 def cast(
