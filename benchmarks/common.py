@@ -110,6 +110,42 @@ def run_program(
     return json.loads(done.stdout.splitlines()[-1])
 
 
+def add_against(parser: argparse.ArgumentParser) -> None:
+    """Add the option --against, which `checkouts` reads."""
+    parser.add_argument("--against", type=Path, help="another checkout of this repository")
+
+
+def checkouts(options: argparse.Namespace) -> list[Path]:
+    """Return the checkouts to measure: this one and, if there is one, that of --against.
+
+    Raises:
+        ValueError: that folder is no checkout.
+    """
+    roots = [Path(__file__).resolve().parents[1]]
+    if options.against is not None:
+        roots.append(options.against.resolve())
+    for root in roots:
+        if not (root / "planner" / "aero_planner").is_dir():
+            raise ValueError(f"{root} is no checkout of this repository: it has no folder planner/aero_planner.")
+    return roots
+
+
+def checkout_path(root: Path) -> str:
+    """Return the PYTHONPATH with which Python imports the code of a checkout."""
+    return f"{root}{os.pathsep}{root / 'planner'}"
+
+
+def run_in_checkout(root: Path, program: str, *arguments: object) -> Any:
+    """Run a Python program with the code of a checkout, see `run_program`.
+
+    Raises:
+        ValueError: the program failed; the message ends with its last line.
+    """
+    environment = {"PYTHONPATH": checkout_path(root)}
+    failure = f"the flight with the code of {root} failed"
+    return run_program(program, *arguments, failure=failure, folder=root, environment=environment)
+
+
 def positive(text: str) -> int:
     """Return the integer, at least 1, that a command-line argument states."""
     value = int(text)

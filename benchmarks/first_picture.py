@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aero_planner.cli_util import run_command
-from benchmarks.common import positive
+from benchmarks.common import add_against, checkout_path, checkouts, positive
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -54,12 +54,11 @@ def start_times(root: Path, browser: Browser, byte_code: str) -> dict[str, float
         "address_s" and "picture_s" since the start; "cpu_s", the processor time that the server has taken until then.
 
     Raises:
-        ValueError: the folder is no checkout, or the demo ended; the message is its last line.
+        ValueError: the demo ended; the message is its last line.
     """
-    if not (root / "planner" / "aero_planner").is_dir():
-        raise ValueError(f"{root} is no checkout of this repository: it has no folder planner/aero_planner.")
+    path = checkout_path(root)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment |= {"PYTHONPATH": f"{root}{os.pathsep}{root / 'planner'}", "PYTHONPYCACHEPREFIX": byte_code}
+    environment |= {"PYTHONPATH": path, "PYTHONPYCACHEPREFIX": byte_code}
     command = [sys.executable, "-m", "aero_viz", "demo", "--port", "0"]
     page = browser.new_page(viewport={"width": 1280, "height": 720})
     page.add_init_script(_PICTURE)
@@ -90,16 +89,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0.
 
     Raises:
-        ValueError: as for `start_times`.
+        ValueError: as for `start_times`, or --against is no checkout.
     """
     from aero_viz.dashboard.snapshot import launch_chromium
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.first_picture", description=__doc__)
-    parser.add_argument("--against", type=Path, help="another checkout of this repository")
+    add_against(parser)
     parser.add_argument("--repeat", type=positive, default=10, help="starts with each checkout, in turn")
     options = parser.parse_args(arguments)
-    here = Path(__file__).resolve().parents[1]
-    roots = [here] if options.against is None else [here, options.against.resolve()]
+    roots = checkouts(options)
     runs: dict[Path, list[dict[str, float]]] = {root: [] for root in roots}
     with launch_chromium() as browser, tempfile.TemporaryDirectory() as byte_code:
         for root in roots:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from aero_planner.cli_util import run_command
-from benchmarks.common import positive, run_program
+from benchmarks.common import add_against, checkouts, positive, run_in_checkout
 
 _PROGRAM = """
 import json, sys, time
@@ -44,28 +43,23 @@ def plan_times(root: Path, ticks: int) -> list[float]:
     """Return the processor time of each plan of a forest flight [ms], with the code of a checkout.
 
     Raises:
-        ValueError: the folder is no checkout, or the flight failed; the message is its last line.
+        ValueError: the flight failed; the message is its last line.
     """
-    if not (root / "planner" / "aero_planner").is_dir():
-        raise ValueError(f"{root} is no checkout of this repository: it has no folder planner/aero_planner.")
-    environment = {"PYTHONPATH": f"{root}{os.pathsep}{root / 'planner'}"}
-    failure = f"the flight with the code of {root} failed"
-    return run_program(_PROGRAM, ticks, failure=failure, folder=root, environment=environment)
+    return run_in_checkout(root, _PROGRAM, ticks)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns 0.
 
     Raises:
-        ValueError: as for `plan_times`.
+        ValueError: as for `plan_times`, or --against is no checkout.
     """
     parser = argparse.ArgumentParser(prog="python -m benchmarks.flight_plans", description=__doc__)
     parser.add_argument("--ticks", type=positive, default=150, help="ticks of the flight, 20 ms each")
-    parser.add_argument("--against", type=Path, help="another checkout of this repository")
+    add_against(parser)
     parser.add_argument("--repeat", type=positive, default=2, help="flights with each checkout, in turn")
     options = parser.parse_args(arguments)
-    here = Path(__file__).resolve().parents[1]
-    roots = [here] if options.against is None else [here, options.against.resolve()]
+    roots = checkouts(options)
     times: dict[Path, list[float]] = {root: [] for root in roots}
     for _ in range(options.repeat):
         for root in roots:
@@ -75,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         low, median, high = np.quantile(all_times, (0.1, 0.5, 0.9))
         print(f"{root}: median {median:.2f} ms, 10 to 90 % {low:.2f} to {high:.2f} ms, {len(all_times)} plans")
     if len(roots) == 2:
-        ratio = np.median(times[here]) / np.median(times[roots[1]])
+        ratio = np.median(times[roots[0]]) / np.median(times[roots[1]])
         print(f"ratio of the medians: {ratio:.2f}")
     return 0
 

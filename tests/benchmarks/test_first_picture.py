@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from benchmarks.first_picture import start_times
+from benchmarks.first_picture import main, start_times
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -15,6 +15,6 @@ def test_the_picture_comes_after_the_address(browser: Browser, tmp_path: Path):
     assert 0.0 < times["address_s"] < times["picture_s"] and times["cpu_s"] > 0.0
 
 
-def test_a_folder_without_a_checkout_is_refused(browser: Browser, tmp_path: Path):
+def test_a_folder_without_a_checkout_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="is no checkout"):
-        start_times(tmp_path, browser, str(tmp_path))
+        main(["--against", str(tmp_path)])

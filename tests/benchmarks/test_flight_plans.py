@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.flight_plans import main, plan_times
+from benchmarks.flight_plans import main
 
 ROOT = Path(__file__).parents[2]
 
@@ -16,6 +16,6 @@ def test_plans_of_a_flight_are_timed_against_another_checkout(capsys: pytest.Cap
     assert lines[-1].startswith("ratio of the medians: ")
 
 
-def test_a_folder_without_the_code_is_reported(tmp_path: Path):
+def test_a_folder_without_the_code_is_refused(tmp_path: Path):
     with pytest.raises(ValueError, match="is no checkout of this repository"):
-        plan_times(tmp_path, 1)
+        main(["--against", str(tmp_path)])
