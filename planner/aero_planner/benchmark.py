@@ -29,6 +29,7 @@ _SWEEPS_REMEMBERED = 30
 """Sweeps in the memory of a flight: of those before the newest `_SWEEPS`, one point in `THINNING` is kept."""
 _PLANS_PER_SWEEP = 5
 _SWEEP_PERIOD = 0.1
+_SWEEP_ROWS = ("sweeps", "sweeps, inputs", "new sweep", "new sweep, inputs")
 _MIB = 2.0**20
 
 
@@ -58,6 +59,7 @@ def measure(
         "sweeps": the same with `Sweeps` as in a flight, of which every fifth plan gets a new one, as at 50 Hz from a
             LiDAR with 10 Hz; one drone only;
         "new sweep": the same for these fifth plans;
+        "sweeps, inputs" and "new sweep, inputs": the part of these times before the launches begin;
         "launch": the same for `Planner.launch`, with everything on the device;
         "stages": the same for each stage; on CUDA, stages run one after another here, with an event between them;
         "plans_per_second" and "launches_per_second", over the batch;
@@ -88,7 +90,7 @@ def measure(
     launches = [elapsed_ms(planner.launch, device) for _ in range(repeat + _WARM_UP)][_WARM_UP:]
     if warp_device.is_cuda:
         stages |= planner.time_stages(repeat)
-    sweeps = _time_sweeps(planner, state, goal, cloud, repeat) if isinstance(cloud, np.ndarray) else []
+    sweeps = _time_sweeps(planner, state, goal, cloud, repeat) if isinstance(cloud, np.ndarray) else {}
     planner.close()
 
     if warp_device.is_cuda and wp.is_mempool_enabled(warp_device):
@@ -110,8 +112,7 @@ def measure(
         "repeat": repeat,
         "stages": {name: _summarize(times) for name, times in stages.items()},
         "plan": _summarize(total),
-        "sweeps": _summarize(sweeps) if sweeps else None,
-        "new sweep": _summarize(sweeps[::_PLANS_PER_SWEEP]) if sweeps else None,
+        **{name: _summarize(sweeps[name]) if sweeps else None for name in _SWEEP_ROWS},
         "launch": _summarize(launches),
         "plans_per_second": 1e3 * batch / float(np.median(total)),
         "launches_per_second": 1e3 * batch / float(np.median(launches)),
@@ -135,20 +136,27 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
         return float(wp.get_event_elapsed_time(begin, end))
 
 
-def _time_sweeps(planner: Planner, state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int) -> list[float]:
-    """Return the times of plans with sweeps that arrive one after another [ms]; the first has a new one."""
+def _time_sweeps(
+    planner: Planner, state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int
+) -> dict[str, list[float]]:
+    """Return the times of plans with sweeps that arrive one after another [ms], by the names of `_SWEEP_ROWS`."""
     arriving = itertools.cycle(as_constant(part) for part in np.array_split(cloud, _SWEEPS))
     sweeps = Sweeps(itertools.islice(arriving, _SWEEPS_REMEMBERED), whole=_SWEEPS)
     x, y, z = map(float, np.asarray(state.position))
     times: list[float] = []
+    inputs: list[float] = []
     for i in range(repeat + _PLANS_PER_SWEEP * _WARM_UP):
         started = time.perf_counter()
         if i % _PLANS_PER_SWEEP == 0:
             arrival = Arrival(_SWEEP_PERIOD * (i // _PLANS_PER_SWEEP), (x, y, z))
             sweeps = sweeps.add(next(arriving), limit=_SWEEPS_REMEMBERED, arrival=arrival)
-        planner.plan(state, goal, sweeps)
+        begun = time.perf_counter()
+        plan = planner.plan(state, goal, sweeps)
         times.append(1e3 * (time.perf_counter() - started))
-    return times[_PLANS_PER_SWEEP * _WARM_UP :]
+        inputs.append(1e3 * (begun - started) + plan.stage_ms["inputs"])
+    first = _PLANS_PER_SWEEP * _WARM_UP
+    rows = times[first:], inputs[first:], times[first::_PLANS_PER_SWEEP], inputs[first::_PLANS_PER_SWEEP]
+    return dict(zip(_SWEEP_ROWS, rows, strict=True))
 
 
 def _summarize(times: Sequence[float]) -> dict[str, float]:
@@ -168,7 +176,7 @@ def _format_report(result: dict[str, Any], preset: str) -> str:
         f"{result['steps']} steps, {result['repeat']} plans",
         f"{'':20}{'median ms':>12}{'p99 ms':>12}",
     ]
-    whole_plans = {name: result[name] for name in ("plan", "sweeps", "new sweep", "launch") if result[name]}
+    whole_plans = {name: result[name] for name in ("plan", *_SWEEP_ROWS, "launch") if result[name]}
     rows = {**result["stages"], **whole_plans}
     lines += [f"{name:20}{row['median_ms']:12.3f}{row['p99_ms']:12.3f}" for name, row in rows.items()]
     lines += [

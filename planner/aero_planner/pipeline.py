@@ -129,13 +129,13 @@ class Pipeline(LaunchSequence):
         if self._device.is_cpu:  # here the plan before may have been interrupted
             reset = self.serial("partition", reset_keys, arrays.work.worker_dropped.zero_)
             self.stages[PLAN].insert(0, reset)
-        upload = self.serial("inputs", arrays.upload_inputs)
+        upload = self.serial("anchors", arrays.upload_inputs)
         self.stages[PLAN_FROM_HOST] = [upload, *self.stages[PLAN]]
         memory = arrays.memory
         if memory is not None and self._device.is_cuda:
             sweeps = SweepStages(self, arrays.cloud, memory.change, arrays.motion)
             self.stages[PLAN_AND_ARRIVAL] = [
-                self.serial("inputs", arrays.upload_inputs, memory.upload_change),
+                self.serial("anchors", arrays.upload_inputs, memory.upload_change),
                 self.serial("motion", *self.branch("movers", *sweeps.estimate_motion(), place_movers)),
                 predict,
                 self.serial("partition", *sweeps.thin()),

@@ -89,6 +89,10 @@ class MovingObstacles:
     """When the plan takes effect [m], shape [n]. They grow by partition.predict_growth."""
 
 
+def _none() -> None:
+    """Return the default of a field that `Plan.with_lazy_arrays` may make: a plain default would hide that one."""
+
+
 @dataclass(frozen=True, eq=False)
 class Plan:
     """Result of one `Planner.plan` call. Its arrays are copies that no later call changes.
@@ -153,9 +157,9 @@ class Plan:
     """Time of each stage [ms]."""
     samples: Array | None = None
     """Positions of the Stage I rollouts [m], shape [M, K, N+1, 3], world frame; None unless requested."""
-    braking: BrakingCandidates | None = None
+    braking: BrakingCandidates | None = field(default_factory=_none)
     """None in plans that a drone has sent."""
-    moving: MovingObstacles | None = None
+    moving: MovingObstacles | None = field(default_factory=_none)
     """Obstacles that were found to move; None with a batch, and in plans that a drone has sent."""
 
     @classmethod

@@ -54,8 +54,6 @@ def make_plan(
         drag=values["drag"] if batched else float(values["drag"][0]),
         stage_ms=stage_ms,
         samples=None if samples is None else arrays.per_drone(samples),
-        braking=arrays.braking(),
-        moving=None if batched else arrays.moving(),
     )
 
 
@@ -84,22 +82,25 @@ class _PlanArrays:
     def per_drone(self, array: Any) -> Any:
         return array if self._batched else array[0]
 
-    def braking(self) -> BrakingCandidates:
+    def _braking(self) -> BrakingCandidates:
         rows = slice(self._instances, self._instances + int(BRAKING_FAN))
         positions, velocities, clearance = (
             self.per_drone(self._values[name][:, rows]) for name in ("positions", "velocities", "clearance")
         )
         return BrakingCandidates(positions, velocities, clearance.min(axis=-1))
 
-    def moving(self) -> MovingObstacles:
+    def _moving(self) -> MovingObstacles | None:
+        if self._batched:
+            return None
         count = int(self._values["mover_count"][0])
         names = ("mover_position", "mover_velocity", "mover_radius")
         return MovingObstacles(*(self._values[name][0, :count] for name in names))
 
     def __call__(self, name: str) -> Any:
         """Return a field of `Plan`; raises AttributeError for another name."""
-        if name == "kinds":
-            return self._kinds()
+        makers = {"kinds": self._kinds, "braking": self._braking, "moving": self._moving}
+        if name in makers:
+            return makers[name]()
         if name not in _ARRAYS:
             raise AttributeError(f"a plan has no attribute {name!r}")
         array, part, B = self._values[_SOURCES.get(name, name)], self._config.partition, self._drones

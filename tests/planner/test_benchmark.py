@@ -14,8 +14,8 @@ def test_json_report(device: str, batch: int, capsys: pytest.CaptureFixture[str]
     expected = {"device": device, "batch": batch, "points": 5000, "samples": 8, "steps": 10, "instances": 15}
     assert {name: report[name] for name in expected} == expected and report["preset"] == "paper"
     assert 100 < report["points_kept"] < 5000
-    with_sweeps = [report["sweeps"], report["new sweep"]]
-    assert (with_sweeps == [None, None]) == (batch > 1), "sweeps are of one drone"
+    with_sweeps = [report[name] for name in ("sweeps", "sweeps, inputs", "new sweep", "new sweep, inputs")]
+    assert (with_sweeps == 4 * [None]) == (batch > 1), "sweeps are of one drone"
     for row in (report["plan"], report["launch"], *report["stages"].values(), *filter(None, with_sweeps)):
         assert 0.0 <= row["median_ms"] <= row["p99_ms"]
     assert report["plans_per_second"] == pytest.approx(1e3 * batch / report["plan"]["median_ms"])
