@@ -35,10 +35,8 @@ from aero_planner.launch_sequence import PLAN, Chunk, LaunchSequence
 from aero_planner.pipeline_records import PipelineArrays, PipelineRecords
 from aero_planner.sweep_stages import SweepStages
 
-PLAN_FROM_HOST = "plan from host"
-"""Name of the stages that plan from the inputs on the host."""
 PLAN_AND_ARRIVAL = "plan and arrival"
-"""Name of the stages that plan from the inputs on the host and meanwhile take a sweep into the memory."""
+"""Name of the stages that plan and meanwhile take a sweep into the memory."""
 
 
 def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
@@ -129,20 +127,15 @@ class Pipeline(LaunchSequence):
         if self._device.is_cpu:  # here the plan before may have been interrupted
             reset = self.serial("partition", reset_keys, arrays.work.worker_dropped.zero_)
             self.stages[PLAN].insert(0, reset)
-        upload = self.serial("anchors", arrays.upload_inputs)
-        self.stages[PLAN_FROM_HOST] = [upload, *self.stages[PLAN]]
-        memory = arrays.memory
-        if memory is not None and self._device.is_cuda:
-            sweeps = SweepStages(self, arrays.cloud, memory.change, arrays.motion)
+        if arrays.change is not None and self._device.is_cuda:
+            sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
             self.stages[PLAN_AND_ARRIVAL] = [
-                self.serial("anchors", arrays.upload_inputs, memory.upload_change),
                 self.serial("motion", *self.branch("movers", *sweeps.estimate_motion(), place_movers)),
                 predict,
                 self.serial("partition", *sweeps.thin()),
                 scan,
                 place_anchors,
-                # This plan reads the new sweep without order.
-                self.serial("order", *self.branch("order", memory.note_upload, *sweeps.order_points())),
+                self.serial("order", *self.branch("order", *sweeps.order_points())),  # this plan reads without order
                 *plan,
                 self.serial("order", self.join("order")),
             ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
@@ -12,7 +11,6 @@ from aero_planner.kernels.escape import Escape
 from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts, bundle
 from aero_planner.motion import Motion
-from aero_planner.sweep_memory import SweepMemory
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +22,12 @@ class PipelineArrays:
     work: Workspace
     cloud: CloudArrays
     """The sweeps to plan from."""
-    memory: SweepMemory | None
-    """Memory of these sweeps; None for a cloud that the caller has joined."""
+    change: wp.array | None
+    """How these sweeps change; None for a cloud that the caller has joined."""
     motion: Motion
     """What moves among their obstacles."""
     params: wp.array
     """Live parameters, shape [B]."""
-    upload_inputs: Callable[[], None]
-    """Copies the inputs from the host to the device."""
 
 
 class PipelineRecords:

@@ -21,9 +21,9 @@ from aero_planner.kernels.kernel_tuning import CPU, CUDA
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import fill_directions
-from aero_planner.launch_sequence import usable_cores
+from aero_planner.launch_sequence import PLAN, usable_cores
 from aero_planner.motion import Motion
-from aero_planner.pipeline import PLAN_AND_ARRIVAL, PLAN_FROM_HOST, Pipeline
+from aero_planner.pipeline import PLAN_AND_ARRIVAL, Pipeline
 from aero_planner.pipeline_records import PipelineArrays
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
@@ -117,11 +117,10 @@ class Planner:
         self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
 
     def _make_pipeline(self) -> Pipeline:
-        memory = self._memory if self._memory is not None and self._scanned is self._memory.arrays else None
+        change = self._memory.change if self._memory is not None and self._scanned is self._memory.arrays else None
         arrays = PipelineArrays(
-            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, memory, self._motion, self._params,
-            self._inputs.upload,
-        )  # fmt: skip
+            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, change, self._motion, self._params
+        )
         return Pipeline(self._config, self._sizes, self._tuning, arrays)
 
     def _scan(self, cloud: CloudArrays) -> None:
@@ -237,9 +236,7 @@ class Planner:
         Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`. Each drone
         forgets those before its newest `remembered` ones; None forgets none.
         """
-        self._memory = SweepMemory(
-            self._motion, self._inputs.upload, sweeps=sweeps, points=points, whole=whole, remembered=remembered
-        )
+        self._memory = SweepMemory(self._motion, sweeps=sweeps, points=points, whole=whole, remembered=remembered)
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
@@ -327,11 +324,13 @@ class Planner:
         host = self._inputs.host()
         for name, value in checked.items():
             host[name][:] = value
-        stages = PLAN_FROM_HOST
+        stages = PLAN
         if isinstance(points, Sweeps):
+            self._inputs.upload()
             stages = self._write_sweeps(points)
         else:
             self._write_points(points)
+            self._inputs.upload()
         uploaded = time.perf_counter()
         self._pipeline.run(stages)
         self._outputs.start_download()
@@ -364,9 +363,10 @@ class Planner:
             self.reserve_sweeps(max(len(sweeps), _MIN_SWEEPS), (sweeps.point_count + 2 * largest) * 5 // 4)
         assert self._memory is not None
         self._scan(self._memory.arrays)
-        # Wakes have to be known before the cloud is scanned.
-        is_arrival_due = self._memory.hold(sweeps, finish=self._device.is_cpu or self._config.forgets_wakes)
-        return PLAN_AND_ARRIVAL if is_arrival_due else PLAN_FROM_HOST
+        self._memory.hold(sweeps)
+        if self._device.is_cpu or self._config.forgets_wakes:
+            self._memory.finish_change()  # before the cloud is scanned
+        return PLAN_AND_ARRIVAL if self._memory.take_change() else PLAN
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.

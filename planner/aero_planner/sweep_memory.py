@@ -6,8 +6,7 @@ import heapq
 import math
 import operator
 from collections import deque
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import takewhile
 from typing import Any, NamedTuple
 
@@ -77,7 +76,6 @@ class SweepMemory:
 
     Args:
         motion: what moves, estimated from the newest sweeps.
-        upload_inputs: copies the inputs from the host to the device, where the launches of `hold` read them.
         sweeps: S, largest number of sweeps.
         points: P, room for the points of all sweeps of a drone.
         whole: number of newest sweeps that `store` keeps whole, as in `Sweeps`; None keeps all.
@@ -86,14 +84,11 @@ class SweepMemory:
     Attributes:
         arrays: the sweeps on the device.
         change: how they change, on the device.
-        upload_change: copies `change` and the places of the sweeps from the host to the device.
-        note_upload: is called after it, on the device's stream.
     """
 
     def __init__(
         self,
         motion: Motion,
-        upload_inputs: Callable[[], None],
         *,
         sweeps: int,
         points: int,
@@ -102,21 +97,16 @@ class SweepMemory:
     ) -> None:
         device = wp.get_device(str(motion.params.device))
         self._device = device
-        self._motion, self._upload_inputs = motion, upload_inputs
+        self._motion = motion
         self._sizes = sizes = _Sizes(len(motion.params), sweeps, max(points, 1))
         self._table = PackedArrays(SweepTable, sizes, device)
         table = as_dict(self._table.arrays)
         self.change = table.pop("change")
         self.arrays = allocate(CloudArrays, sizes, device, **table)
         self.arrays.number.fill_(-1)
-        self._copied = None if device.is_cpu else wp.Event(device)
-        # Not methods of this object: its launches would refer to it.
-        self.upload_change = self._table.upload
-        self.note_upload = partial(_record_event, device, self._copied)
         self._sequence = LaunchSequence(device, 1)
         stages = SweepStages(self._sequence, self.arrays, self.change, motion)
-        copy = [self.upload_change, self.note_upload]
-        launches = [*copy, *stages.estimate_motion(), *stages.thin(), *stages.order_points()]
+        launches = [*stages.estimate_motion(), *stages.thin(), *stages.order_points()]
         self._sequence.stages[_ARRIVAL] = [LaunchSequence.serial("arrival", *launches)]
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
@@ -130,8 +120,10 @@ class SweepMemory:
         self._is_change_due = False
         self._held: Sweeps | None = None
         self._is_motion_known = False  # that at the newest sweep
-        self._host_points: Any = None  # the same places on the host, to copy from
-        self._staging: Any = None  # `_host_points` as NumPy array
+        self._staging: Any = None  # pinned memory of one sweep, small enough for the processor's cache
+        self._staging_values: Any = None  # the same as NumPy array
+        self._is_staging_free = True
+        self._copied = None if device.is_cpu else wp.Event(device)
 
     def has_room(self, sweeps: Sweeps) -> bool:
         """Return True if the sweeps fit into the ring, wherever the oldest one begins."""
@@ -139,44 +131,39 @@ class SweepMemory:
             return True
         return len(sweeps) <= self._sizes.S and sweeps.point_count + max(map(len, sweeps), default=0) <= self._sizes.P
 
-    def hold(self, sweeps: Sweeps, *, finish: bool) -> bool:
+    def hold(self, sweeps: Sweeps) -> None:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room.
 
-        Args:
-            sweeps: the sweeps.
-            finish: run all launches. Otherwise those of the last change are left to the caller.
-
-        Returns:
-            True if the caller has to run launches: those of `SweepStages`, after `upload_change`.
+        The launches of the last change are left to the caller, see `take_change` and `finish_change`.
         """
-        if sweeps is not self._held or not self._is_motion_known:
-            self._run_due_change()
-            self._open_table()
-            first_new = self._next_number
-            if sweeps is not self._held:
-                self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
-            for i, change in enumerate(self._list_changes(first_new, sweeps.thinned)):
-                if i > 0:
-                    self._run_due_change()
-                    self._open_table()
-                self._start_change(change)
-            if not sweeps:
-                self._motion.forget()
-            self._held, self._is_motion_known = sweeps, True
-        if finish:
-            self._run_due_change()
-        is_due, self._is_change_due = self._is_change_due, False
-        return is_due
+        if sweeps is self._held and self._is_motion_known:
+            return
+        self.finish_change()
+        self._open_table()
+        first_new = self._next_number
+        if sweeps is not self._held:
+            self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
+        for i, change in enumerate(self._list_changes(first_new, sweeps.thinned)):
+            if i > 0:
+                self.finish_change()
+                self._open_table()
+            self._start_change(change)
+        if not sweeps:
+            self._motion.forget()
+        self._held, self._is_motion_known = sweeps, True
 
     def forget_motion(self) -> None:
         """Estimate the motion at the newest sweep again, because of another cloud or other parameters since."""
         self._is_motion_known = False
 
-    def _run_due_change(self) -> None:
-        """Run the launches of a change of `hold` that still have to run."""
-        if self._is_change_due:
-            self._is_change_due = False
-            self._upload_inputs()
+    def take_change(self) -> bool:
+        """Return True if the launches of a change are due. The caller runs them, as part of its own."""
+        is_due, self._is_change_due = self._is_change_due, False
+        return is_due
+
+    def finish_change(self) -> None:
+        """Run the launches of a change if they are due."""
+        if self.take_change():
             self._sequence.run(_ARRIVAL)
 
     def _list_changes(self, first_new: int, thinned: int) -> list[_Change]:
@@ -206,7 +193,7 @@ class SweepMemory:
         return changes + rest or [_Change(-1, newest, oldest, -1, recent, *_UNKNOWN_ARRIVAL)]
 
     def _start_change(self, change: _Change) -> None:
-        """Write a change to the open table; its launches, which copy it to the device, are then due."""
+        """Copy a change to the device, with the open table; its launches are then due."""
         host = self._table.host()
         host["change"][0] = change
         # Until its points are ordered, a plan reads a sweep in whole, with the same result.
@@ -214,6 +201,9 @@ class SweepMemory:
         host["is_ordered"][self._unordered] = 0
         if change.thinned >= 0:
             self._thinned.add(change.thinned)
+        self._table.upload()
+        if self._copied is not None:
+            self._device.stream.record_event(self._copied)
         self._is_change_due = True
 
     def _open_table(self) -> None:
@@ -223,6 +213,7 @@ class SweepMemory:
         """
         if self._copied is not None:
             wp.synchronize_event(self._copied)
+        self._is_staging_free = True
         self._table.host()["is_ordered"][self._unordered] = 1
         self._unordered = []
 
@@ -262,7 +253,7 @@ class SweepMemory:
                 f"sweep {row} of {points.shape[0]} drones with {size} points does not fit; there is room for "
                 f"{self._sizes.S} sweeps of {self._sizes.B} drones with {self._sizes.P} points in all."
             )
-        self._run_due_change()
+        self.finish_change()
         place: Any = self.arrays.points[:, start : start + size]
         wp.copy(place, points)
         self._open_table()
@@ -279,8 +270,7 @@ class SweepMemory:
         unknown_time, position = _UNKNOWN_ARRIVAL
         time = unknown_time if time is None else time
         self._start_change(_Change(row, number, oldest, aged, _padded(recent), time, position))
-        self._is_change_due = False  # with the inputs that are on the device
-        self._sequence.run(_ARRIVAL)
+        self.finish_change()
 
     def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
         """Return how many of the newest sweeps in the ring are the first of `sweeps`."""
@@ -327,18 +317,16 @@ class SweepMemory:
             host: Any = points.numpy()
             host[0, entry.start : entry.end] = entry.points
             return
-        if self._host_points is None:
+        count = len(entry.points)
+        if self._staging is None or len(self._staging) < count:
             dtype: Any = wp.vec3
-            self._host_points = wp.empty(self._sizes.P, dtype=dtype, device="cpu", pinned=True)
-            self._staging = self._host_points.numpy()
-        self._staging[entry.start : entry.end] = entry.points
-        wp.copy(points, self._host_points, entry.start, entry.start, len(entry.points))
-
-
-def _record_event(device: wp.Device, event: wp.Event | None) -> None:
-    """Let `event` wait for what the stream of the device, which may be a part of a graph, has been given so far."""
-    if event is not None:
-        device.stream.record_event(event, external=True)
+            self._staging = wp.empty(count * 5 // 4, dtype=dtype, device="cpu", pinned=True)
+            self._staging_values = self._staging.numpy()
+        elif not self._is_staging_free:  # several sweeps arrive at once, as when a flight begins
+            wp.synchronize_stream(self._device.stream)
+        self._staging_values[:count] = entry.points
+        wp.copy(points, self._staging, entry.start, 0, count)
+        self._is_staging_free = False
 
 
 def _recent_rows(entries: list[_Entry]) -> list[int]:
