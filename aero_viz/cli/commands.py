@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import importlib
+from collections.abc import Callable
 
 from aero_viz.cli.parser import Command
 
 
-def _command(module: str, function: str, summary: str) -> Command:
-    return Command(lambda: getattr(importlib.import_module(f"aero_viz.cli.{module}"), function), summary)
+def _command(module: str, function: str, summary: str, *, needs: str = "") -> Command:
+    def load() -> Callable[..., None]:
+        return getattr(importlib.import_module(f"aero_viz.cli.{module}"), function)
+
+    return Command(load, summary, needs)
 
 
 COMMANDS: dict[str, Command] = {
@@ -19,16 +23,51 @@ COMMANDS: dict[str, Command] = {
     "compare": _command("compare", "compare", "Compare two flight logs: figures, parameters and conditions."),
     "convert": _command("recordings", "convert", "Write a recording, or a part of it, as ROS 2 MCAP."),
     "fly": _command(
-        "flights", "fly", "Fly through a scene or a world once, as fast as possible, and print the result."
+        "flights",
+        "fly",
+        "Fly through a scene or a world once, as fast as possible, and print the result.",
+        needs="aero_viz.flight.single",
     ),
-    "score": _command("flights", "score", "Score a flight of any planner with the simulator's own metrics."),
-    "explain": _command("explain", "explain", "Explain why a flight did not arrive, from its log or by flying it."),
-    "bench": _command("bench", "bench", "Fly a benchmark and write its tables, plots and report."),
+    "score": _command(
+        "flights",
+        "score",
+        "Score a flight of any planner with the simulator's own metrics.",
+        needs="aero_viz.evaluation.score",
+    ),
+    "explain": _command(
+        "explain",
+        "explain",
+        "Explain why a flight did not arrive, from its log or by flying it.",
+        needs="aero_viz.explain.post_mortem",
+    ),
+    "bench": _command(
+        "bench",
+        "bench",
+        "Fly a benchmark and write its tables, plots and report.",
+        needs="aero_viz.evaluation.bench.runner",
+    ),
     "bench compare": _command("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
-    "bench worlds": _command("bench", "bench_worlds", "Fly through all worlds in a folder and write a report."),
-    "tune": _command("tune", "tune", "Search for better parameter values by flying, and check them in fresh worlds."),
-    "snapshot": _command("tools", "snapshot", "Render a scene or a recording at a given time to a PNG file."),
-    "share": _command("share", "share", "Write a flight to one file: page, video, picture or log."),
+    "bench worlds": _command(
+        "bench",
+        "bench_worlds",
+        "Fly through all worlds in a folder and write a report.",
+        needs="aero_viz.evaluation.bench.runner",
+    ),
+    "tune": _command(
+        "tune",
+        "tune",
+        "Search for better parameter values by flying, and check them in fresh worlds.",
+        needs="aero_viz.evaluation.tune",
+    ),
+    "snapshot": _command(
+        "tools",
+        "snapshot",
+        "Render a scene or a recording at a given time to a PNG file.",
+        needs="aero_viz.dashboard.snapshot",
+    ),
+    "share": _command(
+        "share", "share", "Write a flight to one file: page, video, picture or log.", needs="aero_viz.dashboard.share"
+    ),
     "world export": _command("tools", "world_export", "Write a world to a file for other programs."),
     "world info": _command(
         "tools", "world_info", "Describe a world: its obstacles, whether a path exists, and how difficult it is."

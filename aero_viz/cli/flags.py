@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
@@ -14,12 +14,15 @@ from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name
 from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
-from aero_viz.flight import FlightRules, StateNoise, VehicleModel
-from aero_viz.flight.vehicle import PLANNED
-from aero_viz.recordings.odometry import OdometryChoice
-from aero_viz.scenes import World
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
+from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.scenes.map_files import has_voxels
-from aero_viz.sensors import LIDARS, LidarModel, lidar_model
+from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
+
+if TYPE_CHECKING:
+    from aero_viz.scenes.world import World
 
 T = TypeVar("T")
 Inline = Annotated[T, tyro.conf.arg(name="")]

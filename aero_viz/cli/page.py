@@ -11,7 +11,6 @@ import tyro
 
 from aero_planner.cli_util import quick_imports
 from aero_planner.output_files import check_output_files
-from aero_planner.warp_init import find_device
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -274,6 +273,8 @@ def serve(
         with quick_imports():
             # Errors in the flags come before the address; those of the session, the log and Foxglove after it.
             shown_study, folders = study.open(), _folders(spec, page_flags)
+            from aero_planner.warp_init import find_device
+
             find_device(device)
             page_flags.check()
 

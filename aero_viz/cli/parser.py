@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import NoneType
@@ -23,6 +24,8 @@ class Command:
     """Imports and returns the function. tyro makes flags from its parameters and docstring."""
     summary: str
     """First sentence of the function's docstring, for the list of commands."""
+    needs: str = ""
+    """Module that the function imports before all else, and that takes a while to import."""
 
 
 def parse(
@@ -30,7 +33,8 @@ def parse(
 ) -> Callable[[], None]:
     """Return the call that the arguments ask for, without making it.
 
-    Only the requested command is imported, and only its parser is built, because both take a while.
+    Only the requested command is imported, and only its parser is built, because both take a while. What it needs is
+    imported once its flags are right.
 
     Args:
         commands: commands by name.
@@ -47,8 +51,12 @@ def parse(
         if name in commands:
             import tyro
 
+            command = commands[name]
             with _value_rules():
-                return tyro.cli(_deferred(commands[name].load()), prog=f"{prog} {name}", args=arguments[words:])
+                call = tyro.cli(_deferred(command.load()), prog=f"{prog} {name}", args=arguments[words:])
+            if command.needs:
+                importlib.import_module(command.needs)
+            return call
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help"):
         print(_format_help(commands, prog=prog, description=description))

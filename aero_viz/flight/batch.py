@@ -10,7 +10,6 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
-from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
@@ -19,9 +18,10 @@ from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.stage_timer import StageTimer
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.models import LIDARS, LidarModel
 
 wp.set_module_options({"enable_backward": False})
 

@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from aero_planner.config import ParameterInfo
-from aero_viz.flight.estimate import StateNoise
-from aero_viz.flight.vehicle import VehicleModel
-from aero_viz.sensors.lidar import LIDARS, LidarModel, lidar_model
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
 from aero_viz.session.source import Conditions
 
 if TYPE_CHECKING:

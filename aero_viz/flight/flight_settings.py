@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.rules import FlightRules
-from aero_viz.flight.vehicle import VehicleModel
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.sensors.models import LIDARS, LidarModel
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
 from aero_viz.flight.flight_settings import FlightSettings
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LidarModel
+from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
 _FACTS = ("partition.view_min", "partition.view_max", "vehicle.delay", "costs.height_max")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from aero_planner import PlannerConfig
 from aero_planner.sweeps import sweeps_within
-from aero_viz.sensors.lidar import LidarModel
+from aero_viz.sensors.models import LidarModel
 
 SWEEPS = 30
 """Number of sweeps that were measured before the start, three seconds of a Mid-360."""

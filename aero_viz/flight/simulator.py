@@ -13,15 +13,18 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.warp_init import find_device
-from aero_viz.flight.estimate import StateEstimate, StateNoise
+from aero_viz.flight.estimate import StateEstimate
 from aero_viz.flight.flight_end import ARRIVED, FLYING, STALL, TIMEOUT, FlightRecord, clearance_kernel, judge_kernel
 from aero_viz.flight.metrics import initial_records, pack_rules
 from aero_viz.flight.rules import OUTCOMES, FlightRules
 from aero_viz.flight.stage_timer import StageTimer
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import Lidar, LidarModel
+from aero_viz.sensors.lidar import Lidar
+from aero_viz.sensors.models import LidarModel
 
 _WORLDS_MAX = 8  # worlds of the last settings that stay on the device
 _GPU_THREADS_PER_QUERY = 32  # threads that share the search for the nearest primitive

@@ -14,17 +14,17 @@ from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig, VehicleState
 from aero_viz.errors import UserError
-from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.flight.metrics import FlightResult, config_name_of
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.source import FlightSource
+from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.trajectory import trajectory_file
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LidarModel
+from aero_viz.sensors.models import LidarModel
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 

@@ -14,17 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Arrival, Goal, Plan, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
-from aero_viz.flight.estimate import StateNoise
 from aero_viz.flight.explanation import goal_problem
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.memory import DEFAULT_MEMORY, MOST_SWEEPS, SWEEPS, WHOLE_SWEEPS, remembered_sweeps
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Setting, Simulator
+from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.sweep_cache import Cloud, Pose, Scan, Sweep, SweepCache, join_returns
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel, is_sweep_lost
+from aero_viz.sensors.lidar import is_sweep_lost
+from aero_viz.sensors.models import LIDARS, LidarModel
 from aero_viz.session.source import Observation, SourceInfo
 
 LATENCY_MAX = 0.5

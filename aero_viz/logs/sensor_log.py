@@ -30,7 +30,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight import FlightRules, FlightSource
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.flight.metrics import FlightResult
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.recordings.imu_messages import IMU_TYPE, encode_imu
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from aero_viz.recordings.info import RecordingInfo, inspect
-from aero_viz.recordings.poses import Pose, RecordedPoses
-from aero_viz.recordings.recording import NO_POSES, PointSweep, Recording, open_recording
-from aero_viz.recordings.source import RecordingSource
+from typing import TYPE_CHECKING
+
+from aero_planner.lazy_import import lazy_exports
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.info import RecordingInfo, inspect
+    from aero_viz.recordings.poses import Pose, RecordedPoses
+    from aero_viz.recordings.recording import NO_POSES, PointSweep, Recording, open_recording
+    from aero_viz.recordings.source import RecordingSource
 
 __all__ = [
     "NO_POSES",
@@ -18,3 +23,13 @@ __all__ = [
     "inspect",
     "open_recording",
 ]
+
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "info": ("RecordingInfo", "inspect"),
+        "poses": ("Pose", "RecordedPoses"),
+        "recording": ("NO_POSES", "PointSweep", "Recording", "open_recording"),
+        "source": ("RecordingSource",),
+    },
+)

@@ -9,7 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,13 @@ from aero_planner.quaternions import quaternion_of_matrix, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_smoothing import smooth_motion
+from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
 
-OdometryChoice = Literal["none", "auto", "rko-lio", "kiss-icp"]
 OdometryProgress = Callable[[int, int], None]
 """Called with the number of sweeps that are done and the number of all sweeps."""
 

@@ -22,7 +22,8 @@ from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.odometry import OdometryChoice, OdometryProgress
+    from aero_viz.recordings.odometry import OdometryProgress
+    from aero_viz.recordings.odometry_choice import OdometryChoice
 
 NO_POSES = (
     "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "

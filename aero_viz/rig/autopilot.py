@@ -21,7 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.onboard.frames import attitude_to_ned, frd_from_flu, ned_from_world
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.thrust import ThrustModel
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.estimate_error import covariance, estimate_error
 from aero_viz.rig.faults import Channel
 from aero_viz.rig.hold import HoldControl

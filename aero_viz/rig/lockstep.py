@@ -16,14 +16,14 @@ from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.quaternions import rotate
 from aero_viz.flight.rules import FlightRules
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import HOST, PX4_RESPONSE, free_ports, ground_below, rig_settings
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.models import LIDARS, LidarModel
 
 _PILOT_PERIOD = 0.1  # [s] between two attempts of the pilot to take off
 

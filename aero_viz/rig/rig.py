@@ -25,7 +25,7 @@ from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.livox import CARTESIAN_MM
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.settings import OnboardConfig
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import Fault
 from aero_viz.rig.flight import RigFlight
@@ -38,7 +38,7 @@ from aero_viz.rig.px4_setup import set_parameters
 from aero_viz.rig.result import RigResult
 from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LIDARS, LidarModel
+from aero_viz.sensors.models import LIDARS, LidarModel
 
 PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max": 3.84, "rate_z_max": 0.8}
 """Response of the vehicle to setpoints, as identified from flights of PX4 1.17 in its own simulation: parameters of

@@ -16,7 +16,8 @@ from aero_viz.rig.faults import Channel
 from aero_viz.rig.px4_truth import PosedVehicle
 from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar import Lidar, LidarModel
+from aero_viz.sensors.lidar import Lidar
+from aero_viz.sensors.models import LidarModel
 
 PACKET_POINTS = 96
 """Points per packet, as in the packets of the real sensor."""

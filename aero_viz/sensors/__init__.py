@@ -2,9 +2,31 @@
 
 from __future__ import annotations
 
-from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.coverage import coverage
-from aero_viz.sensors.lidar import LIDARS, Lidar, LidarModel, lidar_model
-from aero_viz.sensors.raycast import cast
+from typing import TYPE_CHECKING
 
-__all__ = ["LIDARS", "DeviceWorlds", "Lidar", "LidarModel", "cast", "coverage", "lidar_model"]
+from aero_planner.lazy_import import lazy_exports
+
+if TYPE_CHECKING:
+    from aero_viz.sensors.field_coverage import coverage
+    from aero_viz.sensors.lidar import Lidar
+    from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
+    from aero_viz.sensors.raycast import cast
+
+__all__ = [
+    "LIDARS",
+    "Lidar",
+    "LidarModel",
+    "cast",
+    "coverage",
+    "lidar_model",
+]
+
+__getattr__, __dir__ = lazy_exports(
+    __name__,
+    {
+        "field_coverage": ("coverage",),
+        "lidar": ("Lidar",),
+        "models": ("LIDARS", "LidarModel", "lidar_model"),
+        "raycast": ("cast",),
+    },
+)

@@ -10,7 +10,7 @@ from aero_viz.cli.page import flight_opener
 from aero_viz.errors import UserError
 from aero_viz.flight import StateNoise, VehicleModel
 from aero_viz.flight.conditions import conditions_of, with_conditions
-from aero_viz.sensors.lidar import LIDARS
+from aero_viz.sensors.models import LIDARS
 from aero_viz.session.source import Conditions
 
 OPTIONS = {"lidar": replace(LIDARS["mid360"], range_max=20.0), "vehicle": VehicleModel(drag=0.2), "noise": None}

@@ -14,7 +14,7 @@ from aero_viz.flight.known_drone import (
     facts_after,
 )
 from aero_viz.scenes import scene
-from aero_viz.sensors.lidar import LIDARS
+from aero_viz.sensors.models import LIDARS
 
 MID360 = LIDARS["mid360"]
 

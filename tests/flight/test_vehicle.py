@@ -5,7 +5,8 @@ import pytest
 import warp as wp
 
 from aero_planner import PlannerConfig
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 
 G = 9.81
 HOVER = (G, 0.0, 0.0, 0.0)

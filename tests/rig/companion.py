@@ -5,7 +5,7 @@ import socket
 from typing import Any
 
 from aero_planner.onboard.mavlink_sender import load_dialect
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 
 mavlink = load_dialect()

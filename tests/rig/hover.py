@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar import LIDARS, Lidar
+from aero_viz.sensors.lidar import Lidar
+from aero_viz.sensors.models import LIDARS
 
 
 def scan(

@@ -8,7 +8,8 @@ import pytest
 import warp as wp
 
 from aero_planner.onboard.thrust import ThrustModel
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD
 from aero_viz.rig.offboard import Mode
 from tests.rig.companion import HALF, START, mavlink

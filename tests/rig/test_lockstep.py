@@ -11,7 +11,7 @@ from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.flight import FlightRules
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.lockstep import LockstepRig
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import PX4_RESPONSE

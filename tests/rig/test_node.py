@@ -16,7 +16,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig import Fault, RigResult, fly_rig
 from aero_viz.rig.offboard import Mode
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LidarModel
+from aero_viz.sensors.models import LidarModel
 
 pytestmark = pytest.mark.realtime
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from aero_viz.flight.vehicle import VehicleModel
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD
 from aero_viz.rig.rig import PX4_RESPONSE
 from tests.rig.companion import LEVEL

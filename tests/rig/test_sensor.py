@@ -9,11 +9,12 @@ import warp as wp
 
 from aero_planner.onboard.livox import CARTESIAN_CM, CARTESIAN_MM, decode_points, parse_packet
 from aero_planner.quaternions import quaternion_from_angles, rotate
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD
 from aero_viz.rig.sensor import PACKET_POINTS, SimulatedMid360
 from aero_viz.scenes import World
-from aero_viz.sensors.lidar import LidarModel
+from aero_viz.sensors.models import LidarModel
 
 START = np.array([1.0, 2.0, 3.0])
 

@@ -12,8 +12,9 @@ from aero_viz.errors import UserError
 from aero_viz.evaluation.world_export import surface_points
 from aero_viz.flight import FlightBatch, FlightRules, fly
 from aero_viz.scenes import World, load_map
+from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.passable import is_passable
-from aero_viz.sensors import DeviceWorlds, LidarModel, cast
+from aero_viz.sensors import LidarModel, cast
 
 START, GOAL = np.array([0.0, 0.0, 2.0]), np.array([10.0, 0.0, 2.0])
 

@@ -7,7 +7,8 @@ import warp as wp
 
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
-from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, lidar_model
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.sensors import LIDARS, Lidar, LidarModel, lidar_model
 
 MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
 RADIUS = 10.0

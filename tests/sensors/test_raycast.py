@@ -5,8 +5,9 @@ import pytest
 import warp as wp
 
 from aero_viz.scenes import World, scene
+from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.scenes.geometry import Geometry, world_distance
-from aero_viz.sensors import DeviceWorlds, cast
+from aero_viz.sensors import cast
 
 
 def make(**tables) -> World:

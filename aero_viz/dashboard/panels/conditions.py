@@ -12,7 +12,7 @@ from aero_viz.flight import VehicleModel
 from aero_viz.flight.conditions import OFFERED, with_conditions
 from aero_viz.scenes import SCENES
 from aero_viz.scenes.generators import COUNT_MAX
-from aero_viz.sensors.lidar import LIDARS
+from aero_viz.sensors.models import LIDARS
 from aero_viz.session.source import Conditions
 
 _HINT = "Used when a scene or a world is opened."

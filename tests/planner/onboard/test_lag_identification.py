@@ -7,7 +7,8 @@ import pytest
 import warp as wp
 
 from aero_planner.onboard.lag_identification import identify_lag
-from aero_viz.flight.vehicle import Vehicle, VehicleModel
+from aero_viz.flight.vehicle import Vehicle
+from aero_viz.flight.vehicle_model import VehicleModel
 
 
 @pytest.mark.parametrize("lag", [0.02, 0.07, 0.2])

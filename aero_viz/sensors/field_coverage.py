@@ -10,8 +10,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner.warp_init import init_warp
-from aero_viz.sensors.lidar import LidarModel, pack_beams
+from aero_viz.sensors.lidar import pack_beams
 from aero_viz.sensors.lidar_kernels import Beams, beam_direction
+from aero_viz.sensors.models import LidarModel
 
 wp.set_module_options({"enable_backward": False})
 

@@ -5,7 +5,8 @@ import pytest
 import warp as wp
 
 from aero_viz.scenes import World
-from aero_viz.sensors import LIDARS, DeviceWorlds, Lidar, LidarModel, coverage
+from aero_viz.scenes.device_worlds import DeviceWorlds
+from aero_viz.sensors import LIDARS, Lidar, LidarModel, coverage
 
 MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
 
