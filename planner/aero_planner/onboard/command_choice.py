@@ -67,7 +67,7 @@ class CommandChoice:
         limits = self._config.limits
         if reaction is not Reaction.HOLD:
             self._hold = None
-        if reaction is not Reaction.BRAKE or state is not State.BRAKING:
+        if reaction is not Reaction.BRAKE or state is State.READY:
             self._path = None
         elif self._path is None:
             self._path = self._schedule.path(self._reset_time)

@@ -13,6 +13,7 @@ import contextlib
 import dataclasses
 import json
 import logging
+import math
 import os
 import select
 import signal
@@ -46,11 +47,15 @@ def takeover_time(onboard: OnboardConfig) -> float:
     return onboard.limits.deadline + _EXTRA_PERIODS / onboard.rates.control
 
 
+_HANG_TIME = 0.5
+"""Time without a step of the failsafe process after which it counts as hanging [s]. It does one per control period."""
+
+
 class Failsafe(Protocol):
     """Something that brakes when the node falls silent although the drone obeys it, as seen by the node."""
 
     lost: bool
-    """True if it has ended unexpectedly."""
+    """True if it has ended unexpectedly, or hangs."""
     interventions: int
     """Number of times that it braked."""
 
@@ -82,7 +87,7 @@ class FailsafeProcess:
         OSError: The process can't be started.
 
     Attributes:
-        lost: True if the process has ended unexpectedly.
+        lost: True if the process has ended unexpectedly, or hangs.
         interventions: Number of times that it braked.
     """
 
@@ -95,6 +100,8 @@ class FailsafeProcess:
     ) -> None:
         self.lost = False
         self.interventions = 0
+        self._has_ended = False
+        self._steps, self._step_time = 0, math.inf
         self._find_peer = find_peer
         self._find_signing_time = find_signing_time
         self._writing = threading.Lock()
@@ -136,7 +143,7 @@ class FailsafeProcess:
             OSError: It has ended, or is not ready after `timeout` [s].
         """
         end = time.monotonic() + timeout
-        while not self._memory.read_status().running:
+        while not self._memory.read_status().steps:
             code = self._process.poll()
             if code is not None or time.monotonic() > end:
                 problem = f"is not ready after {timeout:g} s" if code is None else f"has ended with code {code}"
@@ -171,11 +178,21 @@ class FailsafeProcess:
             self._process.stdin.close()
 
     def _update_status(self) -> None:
-        self.interventions = self._memory.read_status().interventions
-        if not self.lost and self._process.poll() is not None:
-            self.lost = True
+        status, now = self._memory.read_status(), time.monotonic()
+        self.interventions = status.interventions
+        if status.steps != self._steps:
+            self._steps, self._step_time = status.steps, now
+        if not self._has_ended and self._process.poll() is not None:
+            self._has_ended = self.lost = True
             code = self._process.returncode
             _log.error("the failsafe process has ended with code %s: nothing brakes if this process dies", code)
+        hangs = now - self._step_time > _HANG_TIME
+        if not self._has_ended and hangs != self.lost:
+            self.lost = hangs
+            if hangs:
+                _log.error("the failsafe process hangs: nothing brakes if this process dies")
+            else:
+                _log.warning("the failsafe process runs again")
 
 
 # --- the failsafe process itself ---

@@ -24,6 +24,7 @@ class State(enum.Enum):
 
     WAITING = "something required for flight is missing, or the pilot flies"
     READY = "everything is in place; the pilot may switch to OFFBOARD"
+    WITHDRAWING = "no longer ready; the drone is being stopped in case the pilot has just switched to OFFBOARD"
     FLYING = "the drone follows the plan"
     ARRIVED = "the drone has reached the goal and waits there"
     BRAKING = "something is wrong; the drone is being stopped"
@@ -49,6 +50,7 @@ REACTIONS: dict[State, Reaction] = {
     # PX4 accepts OFFBOARD only while setpoints arrive. It ignores their content until it switches, but then obeys them
     # for up to a second before its next heartbeat reports the switch: they must be harmless.
     State.READY: Reaction.BRAKE,
+    State.WITHDRAWING: Reaction.BRAKE,
     State.FLYING: Reaction.STREAM_PLAN,
     State.ARRIVED: Reaction.HOLD,
     State.BRAKING: Reaction.BRAKE,
@@ -103,12 +105,14 @@ class Inputs:
     """Number of goals received so far."""
     stopping: bool = False
     """True once the node has been asked to stop."""
+    guarded: bool = True
+    """False if the failsafe process has ended or hangs; True as well if the node is to fly without one."""
     seen_disarmed: bool = True
     """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next four fields."""
     state_time: float = 0.0
     """Time since the present state was entered [s]."""
     fault_time: float = 0.0
-    """Time since the drone last followed a plan or waited at its goal [s]."""
+    """Time since the node was last ready, or the drone last followed a plan or waited at its goal [s]."""
     goal_new: bool = False
     """True if the goal differs from the one that was reached last."""
     estimate_was_poor: bool = False
@@ -122,6 +126,7 @@ class Cause(enum.Enum):
     ARMED_AT_START = "the vehicle was already armed when the node started"
     DISARMED = "the vehicle is disarmed"
     ENGAGED = "the pilot switched to OFFBOARD"
+    NOT_ENGAGED = "the pilot has not switched to OFFBOARD"
     LINK_LOST = "no heartbeat from the autopilot"
     STATE_STALE = "no vehicle state from the autopilot"
     STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
@@ -135,6 +140,7 @@ class Cause(enum.Enum):
     PLAN_UNSAFE = "no safe candidate, or a plan based on a stale cloud"
     ON_GROUND = "the vehicle is on the ground, taking off or landing"
     IN_AIR_UNKNOWN = "the autopilot does not report whether the vehicle is in the air"
+    UNGUARDED = "the failsafe process, which brakes if this one dies, has ended or hangs: start the node again"
     CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, position or time stamps are wrong"
     STOPPING = "the node was asked to stop"
     STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
@@ -156,7 +162,10 @@ FAULTS = (
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
-NOT_READY = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN, Cause.CLOUD_DRIFTS)
+_LANDED = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
+"""Causes for which the node falls silent at once: the drone is, or may be, on the ground."""
+
+NOT_READY = (*_LANDED, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
 """Causes that, like the faults, prevent READY, but that do not disturb a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
@@ -230,6 +239,8 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
     Cause.DISARMED: lambda i, _: not i.armed,
     Cause.ENGAGED: lambda i, _: i.armed and i.offboard,
+    # Only a heartbeat that is newer than the state tells.
+    Cause.NOT_ENGAGED: lambda i, _: not (i.armed and i.offboard) and i.heartbeat_age < i.state_time,
     Cause.LINK_LOST: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age),
     Cause.STATE_STALE: lambda i, lim: _exceeds(i.state_age, lim.state_age),
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
@@ -243,6 +254,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.PLAN_UNSAFE: lambda i, _: i.plan_status != PlanStatus.OK,
     Cause.ON_GROUND: lambda i, _: i.in_air is False,
     Cause.IN_AIR_UNKNOWN: lambda i, _: i.in_air is None,
+    Cause.UNGUARDED: lambda i, _: not i.guarded,
     Cause.CLOUD_DRIFTS: lambda i, lim: i.drift_angle > math.radians(lim.drift_angle) or i.drift_speed > lim.drift_speed,
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
@@ -314,23 +326,34 @@ _S = State
 COMMANDING = (_S.FLYING, _S.ARRIVED, _S.BRAKING, _S.HOLDING)
 """States in which the drone obeys the node."""
 
+MAYBE_COMMANDING = (_S.READY, _S.WITHDRAWING)
+"""States in which it may: the autopilot has possibly switched to OFFBOARD since its last heartbeat."""
+
 TRANSITIONS: tuple[Transition, ...] = (
     # The watchdog or the failsafe process has braked and handed the drone back. If the reported mode still says
     # OFFBOARD, that may be the autopilot's failsafe on its way.
     Transition(COMMANDING, Cause.LOOP_TIMEOUT, _S.HANDED_BACK),
+    Transition(MAYBE_COMMANDING, Cause.LOOP_TIMEOUT, _S.WAITING),
     # The pilot always wins.
     Transition(COMMANDING, Cause.TAKEN_OVER, _S.WAITING),
-    Transition((_S.HANDED_BACK,), Cause.DISARMED, _S.WAITING),
-    Transition((_S.WAITING, _S.READY), Cause.ARMED_AT_START, _S.HANDED_BACK),
+    Transition((_S.HANDED_BACK, _S.WITHDRAWING), Cause.DISARMED, _S.WAITING),
+    Transition((_S.WAITING, *MAYBE_COMMANDING), Cause.ARMED_AT_START, _S.HANDED_BACK),
     # Faults that are too severe or last too long hand the drone back to the autopilot.
     Transition(COMMANDING, Cause.STATE_TIMEOUT, _S.HANDED_BACK),
     Transition(COMMANDING, Cause.LINK_TIMEOUT, _S.HANDED_BACK),
     Transition((_S.BRAKING,), Cause.BRAKE_TIMEOUT, _S.HANDED_BACK),
     Transition((_S.BRAKING, _S.HOLDING), Cause.HOLD_TIMEOUT, _S.HANDED_BACK),
     Transition((_S.ARRIVED, _S.HOLDING), Cause.STOPPING, _S.HANDED_BACK),
+    # The next heartbeat tells whether the drone obeys.
+    *(Transition(MAYBE_COMMANDING, cause, _S.WAITING) for cause in _LANDED),
+    Transition((_S.WITHDRAWING,), Cause.STATE_TIMEOUT, _S.WAITING),
+    Transition((_S.WITHDRAWING,), Cause.LINK_TIMEOUT, _S.WAITING),
+    Transition((_S.WITHDRAWING,), Cause.ENGAGED, _S.BRAKING),
     # Faults that are present now.
-    Transition((_S.READY,), Cause.STOPPING, _S.WAITING),
-    *(Transition((_S.READY,), cause, _S.WAITING) for cause in (*FAULTS, *NOT_READY)),
+    *(
+        Transition((_S.READY,), cause, _S.WITHDRAWING)
+        for cause in (Cause.STOPPING, *FAULTS, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
+    ),
     Transition((_S.FLYING,), Cause.STOPPING, _S.BRAKING),
     *(Transition((_S.FLYING,), fault, _S.BRAKING) for fault in FAULTS),
     *(Transition((_S.ARRIVED,), fault, _S.BRAKING) for fault in FAULTS if fault not in HARMLESS_AT_REST),
@@ -341,7 +364,8 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition((_S.FLYING,), Cause.GOAL_REACHED, _S.ARRIVED),
     Transition((_S.ARRIVED,), Cause.GOAL_MOVED, _S.FLYING),
     Transition((_S.READY,), Cause.ENGAGED, _S.FLYING),
-    Transition((_S.WAITING,), Cause.STANDBY, _S.READY),
+    Transition((_S.WAITING, _S.WITHDRAWING), Cause.STANDBY, _S.READY),
+    Transition((_S.WITHDRAWING,), Cause.NOT_ENGAGED, _S.WAITING),
 )
 """Tried from top to bottom. The first row that applies is taken, at most one per tick."""
 

@@ -31,7 +31,8 @@ class SharedHeartbeat(NamedTuple):
 class ReaderStatus(NamedTuple):
     """State that the reading process has reported."""
 
-    running: bool
+    steps: int
+    """Number of steps that it has done; 0 before it runs."""
     braking: bool
     """True if the reader has braked since the newest heartbeat."""
     interventions: int
@@ -51,14 +52,14 @@ class HeartbeatMemory:
         ValueError: The memory was created by another version of this program.
     """
 
-    _LAYOUT = struct.pack("<I", 4)  # to be increased with every change of what follows
+    _LAYOUT = struct.pack("<I", 5)  # to be increased with every change of what follows
     _HEAD = struct.Struct("<QQ256s")  # number, time stamp of signatures, peer
     _UPCOMING = 20  # after time, motion with its control, and command
     _PATH = _UPCOMING + 4 * UPCOMING_MAX
     _GAIN = _PATH + 1 + 6 * PATH_POINTS  # after the upcoming commands and the path, NaN where there is none
     _NUMBERS = _GAIN + 1
     _SIZE = _HEAD.size + 8 * _NUMBERS + 4  # with the checksum
-    _STATUS = struct.Struct("<QII")  # number of the heartbeat since which the reader brakes, running, interventions
+    _STATUS = struct.Struct("<QII")  # number of the heartbeat since which the reader brakes, steps, interventions
 
     @classmethod
     def create_file(cls) -> int:
@@ -70,6 +71,7 @@ class HeartbeatMemory:
     def __init__(self, file: int) -> None:
         self._memory = mmap.mmap(file, 0)  # holds its own reference to the memory
         self._number = 0
+        self._steps = 0
         if self._memory[2 * self._SIZE + self._STATUS.size :] != self._LAYOUT:
             raise ValueError("the heartbeat is from another version of aero-planner; start the node again.")
 
@@ -123,18 +125,19 @@ class HeartbeatMemory:
         return SharedHeartbeat(number, heartbeat, peer.rstrip(b"\0").decode() or None, signing_time)
 
     def write_status(self, braking_since: int = 0, interventions: int = 0) -> None:
-        """Report, as the reader, that it is running.
+        """Report, as the reader, one more step.
 
         Args:
             braking_since: Number of the newest heartbeat if the reader has braked since; 0 if it has not.
             interventions: Number of times that the reader began to brake.
         """
-        self._STATUS.pack_into(self._memory, 2 * self._SIZE, braking_since, True, interventions)
+        self._steps = self._steps % 0xFFFFFFFF + 1
+        self._STATUS.pack_into(self._memory, 2 * self._SIZE, braking_since, self._steps, interventions)
 
     def read_status(self) -> ReaderStatus:
         """Return, to the writer, the status that the reader has reported."""
-        braking_since, running, interventions = self._STATUS.unpack_from(self._memory, 2 * self._SIZE)
-        return ReaderStatus(bool(running), 0 < braking_since == self._number, interventions)
+        braking_since, steps, interventions = self._STATUS.unpack_from(self._memory, 2 * self._SIZE)
+        return ReaderStatus(steps, 0 < braking_since == self._number, interventions)
 
     def _read_slot(self, slot: int) -> bytes | None:
         content = self._memory[slot * self._SIZE : (slot + 1) * self._SIZE]

@@ -27,11 +27,10 @@ from aero_planner.onboard.failsafe_process import Failsafe
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     COMMANDING,
-    Cause,
+    MAYBE_COMMANDING,
     Inputs,
     Reaction,
     State,
-    cause_applies,
     is_inside_fence,
     is_lost,
 )
@@ -196,33 +195,23 @@ class Node:
         self._link.poll()
         self._read_state()
         inputs, motion = self._gather_inputs(now, loop_age)
-        previous_state = self.state
         reaction = self.safety.step(now, inputs)
-        is_obeyed = inputs.armed and inputs.offboard
         corrected = motion
         if motion is not None:
             corrected = self._drift_correction.apply(motion, lost=is_lost(inputs, self.config.limits))
         command = self._commands.choose(now, reaction, self.state, inputs, corrected)
         if command is not None:
             self._send(command)
-        elif (
-            previous_state in COMMANDING
-            and self.state is State.HANDED_BACK
-            and is_obeyed
-            and motion is not None
-            # After that, the watchdog or the failsafe process has sent it, and the reported mode may be an old one.
-            and not cause_applies(Cause.LOOP_TIMEOUT, inputs, self.config.limits)
-        ):
+        elif motion is not None and self.safety.must_end_level:
             # The autopilot follows the last command until it notices the silence, so that must be a level hover.
             self._send(self._stop_controller.level(motion))
-        obeyed = command.control if command is not None and is_obeyed else None
-        self._report(now, motion, obeyed, follows_plan=reaction in AS_PLANNED)
+        self._report(now, motion, inputs, command, follows_plan=reaction in AS_PLANNED)
         # Last, so that a flood of packets delays no command.
         self._read_points()
         if self.state is State.WAITING:
             reasons = [cause.value for cause in self.safety.missing()]
             self._readiness.update(now, reasons if self.goal is not None else ["there is no goal", *reasons])
-        if self._stopping and self.state not in COMMANDING:
+        if self._stopping and self.state not in (*COMMANDING, *MAYBE_COMMANDING):
             self._fell_silent.set()
         return reaction
 
@@ -325,13 +314,17 @@ class Node:
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
             goal_number=self._goals.count,
             stopping=self._stopping,
+            guarded=self._failsafe is None or not self._failsafe.lost,
         )
         return inputs, motion
 
     def _report(
-        self, now: float, motion: MotionState | None, obeyed: NDArray[np.float64] | None, *, follows_plan: bool
+        self, now: float, motion: MotionState | None, inputs: Inputs, command: Command | None, *, follows_plan: bool
     ) -> None:
         """Report the end of a tick to planning thread, watchdog and failsafe process."""
+        control = None if command is None else command.control
+        obeyed = control if inputs.armed and inputs.offboard else None
+        maybe_obeyed = control if inputs.armed and self.state in MAYBE_COMMANDING else obeyed
         self._reckoning.add_command(now, obeyed)
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(
@@ -339,7 +332,7 @@ class Node:
                 self._disturbance.acceleration,
             )  # fmt: skip
         upcoming = self._commands.upcoming(now) if follows_plan else None
-        heartbeat = Heartbeat(now, motion, obeyed, upcoming, self._commands.path, self._thrust.gain)
+        heartbeat = Heartbeat(now, motion, maybe_obeyed, upcoming, self._commands.path, self._thrust.gain)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
+    MAYBE_COMMANDING,
     NOT_READY,
     Cause,
     Inputs,
@@ -46,11 +47,14 @@ class SafetyMachine:
     Attributes:
         state: The present state.
         inputs: Inputs of the newest step, completed by the machine; None before the first.
+        must_end_level: True if silence begins with the newest step and the drone obeys, or may obey, the command before
+            it.
     """
 
     def __init__(self, limits: LimitSettings, *, on_change: Callable[[StateChange], None] | None = None) -> None:
         self.state = State.WAITING
         self.inputs: Inputs | None = None
+        self.must_end_level = False
         self._limits = limits
         self._on_change = on_change
         self._seen_disarmed = limits.join_armed
@@ -77,7 +81,7 @@ class SafetyMachine:
         """Process the inputs of one tick at the time `now` [s] and return the reaction that is due."""
         # Before the first heartbeat it is unknown whether the motors are armed.
         self._seen_disarmed |= not inputs.armed and math.isfinite(inputs.heartbeat_age)
-        if self.state in (State.FLYING, State.ARRIVED):
+        if self.state in (State.READY, State.FLYING, State.ARRIVED):
             self._last_in_order = now
         self.inputs = dataclasses.replace(
             inputs,
@@ -88,6 +92,7 @@ class SafetyMachine:
             estimate_was_poor=Cause.ESTIMATE_POOR in self.active_faults(),
         )
         target, cause = next_state(self.state, self.inputs, self._limits)
+        self.must_end_level = target is not self.state and self._must_end_level(self.state, target, inputs)
         if cause is not None:
             change = StateChange(now, self.state, target, cause)
             self.state, self._entered = target, now
@@ -96,3 +101,12 @@ class SafetyMachine:
             if self._on_change is not None:
                 self._on_change(change)
         return self.reaction
+
+    def _must_end_level(self, source: State, target: State, inputs: Inputs) -> bool:
+        if cause_applies(Cause.LOOP_TIMEOUT, inputs, self._limits):
+            # The watchdog or the failsafe process has sent that command, and the reported mode may be an old one.
+            return False
+        if source in COMMANDING:
+            return target is State.HANDED_BACK and inputs.armed and inputs.offboard
+        is_flying = inputs.armed and inputs.in_air is not False
+        return source in MAYBE_COMMANDING and target is State.WAITING and is_flying

@@ -35,7 +35,7 @@ class Heartbeat(NamedTuple):
     motion: MotionState | None
     """Motion of the drone at that time, if known."""
     command: NDArray[np.float64] | None
-    """Command that the drone obeys from then on, shape [4]; None if it does not obey the node."""
+    """Command that the drone obeys, or may obey, from then on, shape [4]; None if it does not obey the node."""
     upcoming: NDArray[np.float64] | None = None
     """Planned commands of the next control periods, shape [n, 4], n <= `UPCOMING_MAX`; None if no plan is flown."""
     path: BrakingPath | None = None

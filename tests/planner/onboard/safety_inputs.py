@@ -6,6 +6,7 @@ import math
 from aero_planner import PlanStatus
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
+    MAYBE_COMMANDING,
     UNLOCATED,
     Inputs,
     Reaction,
@@ -59,8 +60,13 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     reaction = reaction_to(target, find_faults(inputs, LIMITS))
     ours, well = inputs.armed and inputs.offboard, is_well(inputs)
     if not ours:
-        # Outside OFFBOARD nothing is sent except the stream that PX4 requires, and only without faults.
-        assert reaction is Reaction.SILENT or (target is State.READY and reaction is Reaction.BRAKE and well)
+        # Outside OFFBOARD nothing is sent except the stream that PX4 requires, without faults, and what follows it
+        # until a heartbeat tells that the pilot has not switched.
+        if target is State.WITHDRAWING:
+            assert reaction is Reaction.BRAKE and state in MAYBE_COMMANDING
+            assert state is State.READY or not inputs.heartbeat_age < inputs.state_time
+        else:
+            assert reaction is Reaction.SILENT or (target is State.READY and reaction is Reaction.BRAKE and well)
     if reaction is Reaction.STREAM_PLAN:
         assert ours and well
     unsafe = inputs.plan_status is not PlanStatus.OK
@@ -70,10 +76,14 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     if target is State.READY:
         assert well and not ours  # a node that finds itself in OFFBOARD does not start
         assert inputs.in_air is True  # nor one that finds itself on the ground
+        assert inputs.guarded
         assert not inputs.drift_speed > LIMITS.drift_speed and not inputs.drift_angle > math.radians(LIMITS.drift_angle)
     if reaction is Reaction.HOLD and target is State.HOLDING:
         assert not any(cause_applies(fault, inputs, LIMITS) for fault in UNLOCATED)
     if state is State.HANDED_BACK:
         assert target is State.HANDED_BACK or not inputs.armed
     if target in COMMANDING and state not in COMMANDING:
-        assert state is State.READY and ours and well and inputs.seen_disarmed and inputs.in_air is True
+        assert state in MAYBE_COMMANDING and ours and inputs.seen_disarmed and inputs.in_air is True
+        assert (well and target is State.FLYING) if state is State.READY else target is State.BRAKING
+    if target in MAYBE_COMMANDING:
+        assert state in (State.WAITING, *MAYBE_COMMANDING) and inputs.in_air is True

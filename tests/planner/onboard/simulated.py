@@ -83,21 +83,25 @@ class SimulatedLink:
         self.spoil: Callable[[VehicleState], VehicleState] = lambda state: state
         self.sent: list[tuple[float, NDArray[np.float64]]] = []
         self.closed = False
+        self.heartbeat_period = 0.0
+        """Time from one heartbeat to the next, which reports `armed` and `offboard`; 1 s with PX4."""
         self._heartbeat = -math.inf
+        self._mode = False, False
 
     def poll(self) -> None:
         if not self.alive:
             return
         simulation = self._simulation
         now = simulation.now
-        self._heartbeat = now
+        if now >= self._heartbeat + self.heartbeat_period - 1e-9:
+            self._heartbeat, self._mode = now, (self.armed, self.offboard)
         motion, before = simulation.motion, self.state
         state = before.state if before is not None and self.frozen else self.spoil(
             VehicleState(motion.position, motion.velocity, motion.quaternion, None, motion.time)
         )  # fmt: skip
         time = before.time if before is not None and self.frozen else motion.time - simulation.state_delay
         self.state = VehicleSample(
-            time, state, self.armed, self.offboard, self._heartbeat, self.resets, self.in_air,
+            time, state, *self._mode, self._heartbeat, self.resets, self.in_air,
             self.position_std, self.velocity_std, now - self.fix_age, self.ground_height,
         )  # fmt: skip
 

@@ -183,6 +183,23 @@ def test_its_death_is_logged_once(failsafe: FailsafeProcess, caplog: pytest.LogC
     assert failsafe.lost and caplog.text.count("the failsafe process has ended with code -9") == 1
 
 
+def test_one_that_hangs_is_logged_and_noticed_when_it_continues(
+    failsafe: FailsafeProcess, caplog: pytest.LogCaptureFixture
+):
+    fly(failsafe, 2)
+    os.kill(failsafe.pid, signal.SIGSTOP)
+    end = time.monotonic() + PATIENCE
+    while not failsafe.lost:
+        assert time.monotonic() < end
+        fly(failsafe, 1)
+    assert caplog.text.count("the failsafe process hangs: nothing brakes if this process dies") == 1
+    os.kill(failsafe.pid, signal.SIGCONT)
+    while failsafe.lost:
+        assert time.monotonic() < end
+        fly(failsafe, 1)
+    assert "the failsafe process runs again" in caplog.text
+
+
 def test_a_process_that_does_not_start_is_an_error(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "executable", "/bin/false")
     failsafe = FailsafeProcess(CONFIG, VEHICLE, lambda: None)

@@ -50,13 +50,13 @@ def test_the_reader_gets_what_was_written(memory: HeartbeatMemory, file: int):
         np.testing.assert_array_equal(heartbeat.upcoming, upcoming[:UPCOMING_MAX])
     memory.write(Heartbeat(10.0, None, None), None)
     assert reader.read() == (9, Heartbeat(10.0, None, None), None, 0)
-    assert memory.read_status() == (False, False, 0)
+    assert memory.read_status() == (0, False, 0)
     reader.write_status(8, 3)
-    assert memory.read_status() == (True, False, 3)
+    assert memory.read_status() == (1, False, 3)
     reader.write_status(9, 3)
-    assert memory.read_status() == (True, True, 3)
+    assert memory.read_status() == (2, True, 3)
     memory.write(Heartbeat(11.0, None, None), None)
-    assert memory.read_status() == (True, False, 3)  # it braked after an older heartbeat
+    assert memory.read_status() == (2, False, 3)  # it braked after an older heartbeat
 
 
 def test_a_motion_that_is_not_finite_reads_as_none(memory: HeartbeatMemory):

@@ -52,6 +52,60 @@ def test_the_flight_continues_when_the_lidar_comes_back(flight: Simulation):
     assert clearance(flight) > 0.1
 
 
+@pytest.fixture
+def ready(small_planner: Planner) -> Simulation:
+    """An armed drone that the node is ready to fly, just after a heartbeat; the next one comes in a second."""
+    simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.join_armed": True})
+    simulation.link.heartbeat_period, simulation.link.armed = 1.0, True
+    assert simulation.run_until(lambda: simulation.node.state is State.READY, 1.0)
+    simulation.run(0.1)
+    return simulation
+
+
+@pytest.fixture
+def switched(ready: Simulation) -> Simulation:
+    """A drone at 4 m/s whose pilot switched to OFFBOARD 0.1 s ago, which the next heartbeat reports in 0.9 s."""
+    ready.motion = dataclasses.replace(ready.motion, velocity=np.array([0.0, -4.0, 0.0]))
+    ready.link.offboard = True
+    ready.run(0.1)
+    assert ready.node.state is State.READY
+    return ready
+
+
+def tilt(simulation: Simulation) -> float:
+    """Return the angle between the drone's axis and the vertical [deg]."""
+    up = rotate(simulation.motion.quaternion, np.array([0.0, 0.0, 1.0]))
+    return math.degrees(math.acos(min(up[2], 1.0)))
+
+
+def test_a_fault_before_the_switch_is_reported_stops_the_drone(switched: Simulation):
+    switched.planner.spoil = lambda plan: dataclasses.replace(plan, controls=np.full_like(plan.controls, np.nan))
+    switched.run(0.3)
+    assert switched.node.state is State.WITHDRAWING and switched.link.offboard
+    assert switched.run_until(lambda: switched.node.state is State.HOLDING, 3.0)
+    assert switched.motion.speed < 0.5 and tilt(switched) < 10.0 and switched.link.offboard
+
+
+def test_a_loop_that_stalls_before_the_switch_is_reported_is_replaced(switched: Simulation):
+    switched.control_alive = False
+    switched.run(switched.node.config.limits.deadline + switched.node.config.limits.blind_time + 0.1)
+    np.testing.assert_allclose(switched.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
+    assert switched.motion.speed < 1.0 and tilt(switched) < 10.0 and switched.link.offboard
+    switched.control_alive = True
+    switched.run(0.1)
+    assert switched.node.state is State.WAITING  # the autopilot's failsafe has the drone
+
+
+def test_a_node_that_withdraws_ends_with_a_level_hover(ready: Simulation):
+    ready.lidar.alive = False
+    assert ready.run_until(lambda: ready.node.state is State.WITHDRAWING, 0.7)
+    assert ready.run_until(lambda: ready.node.state is State.WAITING, 1.1)
+    np.testing.assert_allclose(ready.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
+    count = len(ready.link.sent)
+    ready.run(1.0)
+    assert len(ready.link.sent) == count
+
+
 @pytest.mark.parametrize("fault", ["frozen", "dead", "nan"])
 def test_without_vehicle_states_it_levels_and_hands_back(flight: Simulation, fault: str):
     limits, began = flight.node.config.limits, flight.now

@@ -30,6 +30,7 @@ CAUSES = {
     "fence": Cause.OUTSIDE_FENCE, "status": Cause.PLAN_UNSAFE, "nan state": Cause.STATE_NOT_FINITE,
     "nan plan": Cause.PLAN_NOT_FINITE, "overrun": Cause.LOOP_STALLED,
 }  # fmt: skip
+PILOT_FLIES = dataclasses.replace(WELL, offboard=False)
 segments = st.lists(
     st.tuples(
         st.floats(0.02, 6.0),
@@ -91,7 +92,7 @@ def test_reactions_to_random_faults_come_in_time(plan: list[tuple[float, frozens
         world.step(frozenset(), "armed", 0.0)
     assert world.step(frozenset(), "offboard", 0.0) is Reaction.STREAM_PLAN
     config = OnboardConfig()
-    since_flying = 0.0
+    since_well = 0.0
     for duration, broken, mode, speed in plan:
         for _ in range(round(duration / PERIOD)):
             before = world.safety.state
@@ -107,10 +108,10 @@ def test_reactions_to_random_faults_come_in_time(plan: list[tuple[float, frozens
             blind = max(world.broken_for("state"), world.broken_for("nan state"))
             if blind > LIMITS.state_age + LIMITS.blind_time + 2 * PERIOD:
                 assert reaction is Reaction.SILENT
-            flying = world.safety.state in (State.FLYING, State.ARRIVED)
-            since_flying = 0.0 if flying else since_flying + PERIOD
-            if since_flying > LIMITS.brake_time + LIMITS.hold_time + 3 * PERIOD and mode == "offboard":
-                assert reaction is Reaction.SILENT or world.safety.state is State.READY
+            is_well = world.safety.state in (State.READY, State.FLYING, State.ARRIVED)
+            since_well = 0.0 if is_well else since_well + PERIOD
+            if since_well > LIMITS.brake_time + LIMITS.hold_time + 3 * PERIOD and mode == "offboard":
+                assert reaction is Reaction.SILENT
 
 
 def run(safety: SafetyMachine, inputs: Inputs, seconds: float, start: float) -> float:
@@ -180,6 +181,57 @@ def test_a_cloud_that_drifts_prevents_a_take_over_and_disturbs_no_flight():
     safety, now = flying()
     run(safety, drifting, 1.0, now)
     assert safety.state is State.FLYING
+
+
+def test_a_node_without_its_failsafe_process_is_never_ready_and_flies_on():
+    unguarded = dataclasses.replace(WELL, guarded=False)
+    safety = SafetyMachine(LIMITS)
+    run(safety, dataclasses.replace(unguarded, armed=False, offboard=False), 0.1, 0.0)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.UNGUARDED,)
+    safety, now = flying()
+    run(safety, unguarded, 1.0, now)
+    assert safety.state is State.FLYING
+
+
+def ready() -> tuple[SafetyMachine, float]:
+    safety = SafetyMachine(LIMITS)
+    now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, 0.0)
+    now = run(safety, PILOT_FLIES, 0.1, now)
+    assert safety.state is State.READY
+    return safety, now
+
+
+def test_after_a_fault_in_ready_the_next_heartbeat_decides():
+    blind = dataclasses.replace(PILOT_FLIES, cloud_age=math.inf)
+    safety, now = ready()
+    now = run(safety, blind, 0.4, now)
+    assert safety.state is State.WITHDRAWING and safety.reaction is Reaction.BRAKE
+    run(safety, dataclasses.replace(blind, heartbeat_age=0.0), PERIOD, now)
+    assert safety.state is State.WAITING and safety.reaction is Reaction.SILENT
+
+    safety, now = ready()
+    now = run(safety, blind, 0.4, now)
+    now = run(safety, dataclasses.replace(blind, offboard=True, heartbeat_age=0.0), PERIOD, now)
+    assert safety.state is State.BRAKING
+    run(safety, WELL, PERIOD, now)
+    assert safety.state is State.FLYING  # as the pilot has asked for
+
+    safety, now = ready()
+    now = run(safety, blind, 0.4, now)
+    run(safety, PILOT_FLIES, PERIOD, now)
+    assert safety.state is State.READY
+
+    safety, now = ready()
+    run(safety, dataclasses.replace(blind, heartbeat_age=math.inf), 0.1, now)
+    assert safety.state is State.WAITING  # without heartbeats for too long
+
+
+def test_a_drone_that_lands_is_left_alone_at_once():
+    for last in (PILOT_FLIES, dataclasses.replace(PILOT_FLIES, cloud_age=math.inf)):
+        safety, now = ready()
+        now = run(safety, last, 0.1, now)
+        run(safety, dataclasses.replace(last, in_air=False), PERIOD, now)
+        assert safety.state is State.WAITING
 
 
 def test_a_landed_state_does_not_disturb_a_flight():
