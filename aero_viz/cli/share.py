@@ -11,6 +11,7 @@ from aero_viz.cli.flags import (
     FlightFlags,
     Inline,
     LidarName,
+    OptionalFloat,
     OptionalText,
     OutputPath,
     WorldFlags,
@@ -29,6 +30,7 @@ def share(
     source: WorldName,
     output: OutputPath,
     *,
+    speed: OptionalFloat = None,
     duration: float = 60.0,
     layers: OptionalText = None,
     overwrite: bool = False,
@@ -47,6 +49,7 @@ def share(
     Args:
         source: Scene, file of a world (JSON), point-cloud map or mesh, recording, or flight log.
         output: File to write; its extension determines the format.
+        speed: Speed limit [m/s]; overrides vehicle.speed_limit.
         duration: Longest time to show [s].
         layers: Layers to show, separated by commas, such as rollouts,drone,obstacles; by default those of the page.
         overwrite: Replace an existing file.
@@ -64,7 +67,7 @@ def share(
     from aero_viz.flight.known_drone import config_for_flight
 
     check_path(output, overwrite=overwrite)
-    config = config_flags.load()
+    config = config_flags.load(speed=speed)
     if is_recording(source):
         if (world_flags, flight_flags, lidar) != (_WORLD, _FLIGHT, "mid360"):
             raise UserError(f"{source} is a recording: leave out the flags of the world, the LiDAR and the flight.")

@@ -265,7 +265,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
         f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
-        + ("" if not blocking else f" Near them: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
+        + ("" if not blocking else f" Nearest to the anchors: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
         *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
     ]
     if weight > 0.0:

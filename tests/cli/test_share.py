@@ -23,8 +23,8 @@ def test_the_page_names_the_command_without_the_flags_of_the_file(
 def test_a_shared_flight_is_the_one_that_fly_flies(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     flown, shared = tmp_path / "flown.mcap", tmp_path / "shared.mcap"
     scene = ("double_wall_trap", "--rules.time-limit", "0.6")  # in which the top of the world matters at once
-    run_json(capsys, "fly", *scene, "--log", str(flown), "--json")
-    assert run(capsys, "share", scene[0], str(shared), "--duration", "0.6")[0] == 0
+    run_json(capsys, "fly", *scene, "--speed", "3", "--log", str(flown), "--json")
+    assert run(capsys, "share", scene[0], str(shared), "--duration", "0.6", "--speed", "3")[0] == 0
     assert run_json(capsys, "compare", str(flown), str(shared), "--json")["parameters"] == {}
 
 
