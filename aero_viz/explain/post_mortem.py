@@ -258,6 +258,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     anchors = rows[: last.config.anchor_count]
     limit = last.config.costs.distance_max
     blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
+    nearest = ", ".join(f"{name} ({n})" for name, n in blocking.most_common(4))
     unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
     statuses = Counter(map(_status, frames))
     stops = {why: statuses[status] for status, why in _STOPPING.items()}
@@ -265,7 +266,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
         f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
-        + ("" if not blocking else f" Nearest to the anchors: {', '.join(f'{name} ({n})' for name, n in blocking.most_common(4))}."),
+        + (f" Nearest to the anchors: {nearest}." if nearest else ""),
         *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
     ]
     if weight > 0.0:

@@ -86,10 +86,12 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     offset = places - eyes
     distance = np.linalg.norm(offset, axis=1)
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
-    elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
+    # A place at the sensor itself, as when the drone starts inside an obstacle, lies in no direction and is not hidden.
+    direction = np.where(distance[:, None] > 1e-6, offset, (1.0, 0.0, 0.0)) / np.maximum(distance, 1e-6)[:, None]
+    elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-6), -1.0, 1.0)))
     reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
     worlds = [frame.world for frame in frames]
-    hidden = _occluders(worlds, eyes, offset / distance[:, None], distance)
+    hidden = _occluders(worlds, eyes, direction, distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:

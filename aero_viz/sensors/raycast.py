@@ -202,8 +202,12 @@ def cast_kernel(
     ranges: wp.array2d(dtype=float),  # [B, R]
 ):
     b, i = wp.tid()
-    triangle = mesh_range(geometry.meshes[world[b]], origins[b], directions[b, i], range_max)
-    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], triangle, range_max, time)
+    o, d = origins[b], directions[b, i]
+    ranges[b, i] = wp.inf
+    # A query of triangles along a ray that is not finite reads outside of its arrays.
+    if wp.isfinite(wp.length(o)) and wp.isfinite(wp.length(d)):
+        triangle = mesh_range(geometry.meshes[world[b]], o, d, range_max)
+        ranges[b, i] = ray_range(geometry, world[b], o, d, triangle, range_max, time)
 
 
 def cast(
@@ -211,7 +215,7 @@ def cast(
 ) -> wp.array:
     """Return the distance along each ray to the nearest solid [m], float [B, R] on the worlds' device.
 
-    The distance is 0 from inside a solid and inf where nothing is within range_max.
+    The distance is 0 from inside a solid, and inf where nothing is within range_max or the ray is not finite.
 
     Args:
         worlds: worlds of the B flights.

@@ -96,6 +96,15 @@ def test_empty_world_returns_nothing():
     assert np.all(np.isinf(ranges(make(), [0, 0, 0], np.eye(3))))
 
 
+def test_rays_that_are_not_finite_return_nothing():
+    world = make(spheres=[[5, 0, 0, 1]], triangles=[[4, -1, -1, 4, 1, -1, 4, 0, 1]])
+    directions = [[1.0, 0.0, 0.0], [np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0]]
+    rays, here, nowhere = wp.array([directions], dtype=wp.vec3), [[0.0, 0.0, 0.0]], [[0.0, np.nan, 0.0]]
+    worlds = DeviceWorlds([world])
+    np.testing.assert_allclose(cast(worlds, wp.array(here, dtype=wp.vec3), rays).numpy()[0], [4.0, np.inf, np.inf])
+    assert np.isinf(cast(worlds, wp.array(nowhere, dtype=wp.vec3), rays).numpy()).all()
+
+
 @pytest.mark.parametrize("name", ["forest", "verticals", "inclines"])
 @pytest.mark.parametrize("origin", [[0.0, 0.0, 2.0], [-20.0, 3.0, 9.0], [45.0, 0.0, 2.0]])
 def test_scene_matches_the_float64_reference(name, origin):
