@@ -1,5 +1,6 @@
 """The Share folder of the page: files of the flight so far, and a link to the present moment."""
 
+import re
 import threading
 
 import imageio.v3 as iio
@@ -100,3 +101,16 @@ def test_a_link_of_another_page_brings_no_pictures_and_no_markup_onto_the_page(r
     desk.page.goto(desk.dashboard.url + "?source=%21%5Ba%5D%28http%3A//127.0.0.1%3A9/x%29%3Ch1%3Efree%20prize%3C/h1%3E")
     desk.page.get_by_text("![a](http://127.0.0.1:9/x)<h1>free prize</h1>").wait_for()
     assert not [url for url in requested if ":9/" in url]
+
+
+def test_a_video_is_given_up_when_the_server_ends(fresh_desk, monkeypatch, tmp_path):
+    desk = fresh_desk
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    desk.session.step(40).result()
+    desk.open_folder("Share", "Video")
+    desk.click("Video")
+    desk.page.get_by_text(re.compile(r"Writing the file .. \d")).wait_for()
+    desk.wait_for(lambda: bool(list(tmp_path.rglob("*.mp4*"))), "the first picture of the video")
+    desk.dashboard.close()
+    assert "aero-viz-share" not in {thread.name for thread in threading.enumerate()}
+    assert not list(tmp_path.rglob("*.mp4*"))

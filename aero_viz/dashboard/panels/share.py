@@ -55,6 +55,8 @@ area.remove();
 """Script that copies a link; the clipboard's own interface needs HTTPS."""
 _LINK_TIMEOUT = 20.0
 """Longest wait for the answer of a page [s]."""
+_CLOSE_TIMEOUT = 5.0
+"""Longest wait for a file that is given up [s]: a video takes a second for each of its pictures at most."""
 
 
 class Files(Protocol):
@@ -86,6 +88,8 @@ class SharePanel(Panel):
     def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files) -> None:
         self._controls, self._sources, self._files = controls, sources, files
         self._busy = threading.Lock()
+        self._closing = threading.Event()
+        self._writing: threading.Thread | None = None
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -112,6 +116,12 @@ class SharePanel(Panel):
     def welcome(self, client: viser.ClientHandle) -> None:
         """Ask a new visitor who came by a link whether to open it: another page may have made the link."""
         threading.Thread(target=self._welcome, args=(client,), name="aero-viz-link", daemon=True).start()
+
+    def close(self) -> None:
+        """Give up the file that is being written, and wait a little until its temporary files are gone."""
+        self._closing.set()
+        if self._writing is not None:
+            self._writing.join(_CLOSE_TIMEOUT)
 
     def _query(self) -> str:
         frame = self.session.frame
@@ -151,7 +161,8 @@ class SharePanel(Panel):
         if not self._busy.acquire(blocking=False):
             notify(self.page.server, "A file is being written; wait until it is done.", level="error", client=client)
             return
-        threading.Thread(target=self._write, args=(suffix, client), name="aero-viz-share", daemon=True).start()
+        self._writing = threading.Thread(target=self._write, args=(suffix, client), name="aero-viz-share", daemon=True)
+        self._writing.start()
 
     def _write(self, suffix: str, client: viser.ClientHandle) -> None:
         notification = client.add_notification("AERO-Viz", "Writing the file ..", loading=True, with_close_button=False)
@@ -179,6 +190,8 @@ class SharePanel(Panel):
             path = Path(folder) / f"flight{suffix}"
 
             def report(time: float) -> None:
+                if self._closing.is_set():
+                    raise CancelledError
                 notification.body = f"Writing the file .. {time:.1f} s"
 
             self._files.write(self._frames(opening, report), path, command=command, layers=shown, report=report)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -159,9 +160,20 @@ def _complete(path: Path) -> Iterator[Path]:
 
 
 def _in_thread(action: Callable[[], T]) -> T:
-    """Return the result of `action`, run on a thread without an event loop, as Playwright requires."""
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(action).result()
+    """Return the result of `action`, run on a thread without an event loop, as Playwright requires.
+
+    Python ends without waiting for this thread, whose browser may wait for a page that is no longer served.
+    """
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(action())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, name="aero-viz-pictures", daemon=True).start()
+    return future.result()
 
 
 def flight_frames(session: Session, duration: float, report: Report = lambda _: None) -> Iterator[Frame]:
