@@ -65,10 +65,8 @@ def preflight(
         log: File or folder of the flight log; None for no log.
         listen: Time to listen to sensor and autopilot [s].
         bundle: Bundle whose kernels are used; it must fit configuration and device.
-        confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True; None writes none.
-
-    Raises:
-        ValueError: Parameters were to be written to a vehicle that is armed.
+        confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True and the vehicle
+            is disarmed; None writes none.
     """
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
@@ -260,11 +258,17 @@ def _check_parameters(
     values = read_parameters(link, names)
     changes = find_changes(values, onboard)
     if changes and confirm is not None and confirm(changes):
-        refused = write_parameters(link, changes)
+        result = write_parameters(link, changes)
         values |= read_parameters(link, [change.name for change in changes])
-        if refused:
+        unconfirmed = ", ".join(result.unconfirmed)
+        if result.refusal:
+            advice = "Parameters are written only to a disarmed vehicle: disarm it, and run preflight --set again."
+            yield Check("parameters", f"{result.refusal}; not written: {unconfirmed}", ok=False, advice=advice)
+        elif unconfirmed:
             advice = "The autopilot did not confirm them: set them with a ground station."
-            yield Check("parameters", f"not written: {', '.join(refused)}", ok=False, advice=advice)
+            yield Check("parameters", f"not written: {unconfirmed}", ok=False, advice=advice)
+        else:
+            yield Check("parameters", f"written: {', '.join(change.name for change in changes)}")
     yield from check_parameters(values, onboard)
 
 
