@@ -98,8 +98,9 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
         help="bundle whose kernels are used instead of a compiler, and whose configuration is used without --config",
     )
     flight.add_argument(
-        "--log", type=Path, metavar="PATH", help="MCAP file to write, or folder for a file named after the date"
-    )
+        "--log", type=Path, metavar="PATH",
+        help="file to write, which ends in .mcap, or folder, which is created, for a file named after the date",
+    )  # fmt: skip
 
     run = commands.add_parser(
         "run", parents=[flight], help="fly when the pilot switches to OFFBOARD", description=_run.__doc__

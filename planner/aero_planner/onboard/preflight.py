@@ -21,6 +21,7 @@ from aero_planner.deploy.bundle import Bundle
 from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
+from aero_planner.onboard.log_place import check_log_place
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
@@ -62,7 +63,7 @@ def preflight(
         onboard: Configuration of the node.
         device: Device of the planner.
         goal: [m], shape [3], world frame; None expects a goal over the link.
-        log: File or folder of the flight log; None for no log.
+        log: Where the flight log is to be written, see `aero_planner.onboard.log_place`; None for no log.
         listen: Time to listen to sensor and autopilot [s].
         bundle: Bundle whose kernels are used; it must fit configuration and device.
         confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True and the vehicle
@@ -184,12 +185,11 @@ def _check_disk(log: str | Path | None) -> Iterator[Check]:
     if log is None:
         return
     name = "disk for the log"
-    folder = Path(log) if Path(log).is_dir() else Path(log).resolve().parent
     try:
+        folder = check_log_place(log)
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        advice = "Create the folder, or name another one with --log."
-        yield Check(name, f"{folder}: {error.strerror}", ok=False, advice=advice)
+        yield Check(name, str(error), ok=False, advice="The node doesn't start without the log that --log names.")
         return
     minutes = free / _LOG_RATE / 60.0
     finding = f"{free / 1e9:.1f} GB free in {folder}: about {minutes:.0f} min"
