@@ -43,7 +43,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("world", help="name of a scene, such as forest, or a world file (JSON)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the scene and of the LiDAR (default 0)")
     parser.add_argument("--speed", type=float, help="speed limit [m/s] (default: the one in --config, else 5)")
-    parser.add_argument("--config", help="YAML file with the configuration of planner and node, as on the drone")
+    parser.add_argument("--config", help="preset, or YAML file with settings of planner and node, as on the drone")
     parser.add_argument("--duration", type=float, default=60.0, help="longest flight [s] (default 60)")
     parser.add_argument("--fault", action="append", default=[], metavar="KIND[=AMOUNT]@TIME[+DURATION]",
                         help="fault to inject, TIME seconds after the node gets control; may be repeated")  # fmt: skip
@@ -80,9 +80,9 @@ def _fly(options: argparse.Namespace) -> int:
     parameters = _check_px4(options)
     config, onboard, speed = None, None, 5.0 if options.speed is None else options.speed
     if options.config is not None:
-        from aero_planner.onboard.settings import load_flight_config
+        from aero_planner.onboard.flight_config import load_checked
 
-        config, onboard = load_flight_config(options.config)
+        config, onboard = load_checked(options.config)
         speed = options.speed
     for seed in range(options.seed, options.seed + options.count):
         result = fly_rig(

@@ -22,6 +22,10 @@ class FaultKind:
     duration: float = 0.0
     """Default duration [s]; 0 if the fault is instantaneous."""
 
+    def form(self, name: str) -> str:
+        """Return how a fault of this kind is written, such as pause-node@TIME[+DURATION]."""
+        return f"{name}{'[=AMOUNT]' if self.amount else ''}@TIME{'[+DURATION]' if self.duration else ''}"
+
 
 FAULT_KINDS: dict[str, FaultKind] = {
     "drop": FaultKind("packets of all kinds are lost in both directions", 0.3, 3.0),
@@ -55,7 +59,7 @@ class Fault:
         amount: probability, or time [s]; None is the default of the kind.
 
     Raises:
-        UserError: the kind does not exist, or a value is out of range.
+        UserError: the kind does not exist or has no such value, or a value is out of range.
     """
 
     kind: str
@@ -68,8 +72,11 @@ class Fault:
             raise UserError(f"There is no fault {self.kind!r}; the kinds are {', '.join(FAULT_KINDS)}.")
         kind = FAULT_KINDS[self.kind]
         for name in ("duration", "amount"):
+            default = getattr(kind, name)
             if getattr(self, name) is None:
-                object.__setattr__(self, name, getattr(kind, name))
+                object.__setattr__(self, name, default)
+            elif getattr(self, name) and not default:
+                raise UserError(f"The fault {self.kind} has no {name}; write {kind.form(self.kind)}.")
         for name, value in (("time", self.at), ("duration", self.duration), ("amount", self.amount)):
             if value is None or not 0.0 <= value < _MAX_VALUE:
                 raise UserError(f"The {name} of the fault {self.kind} is {value}; it must be in [0, {_MAX_VALUE:g}).")
@@ -94,7 +101,7 @@ def parse_fault(text: str) -> Fault:
         text: KIND[=AMOUNT]@TIME[+DURATION], such as drop=0.2@3+2 or pause-node@4.
 
     Raises:
-        UserError: the text has another form, the kind does not exist, or a value is out of range.
+        UserError: the text has another form, the kind does not exist or has no such value, or a value is out of range.
     """
     number = r"[0-9]*\.?[0-9]+"
     match = re.fullmatch(rf"([a-z-]+)(?:=({number}))?@({number})(?:\+({number}))?", text)

@@ -49,8 +49,10 @@ def set_parameters(
             raise UserError(f"PX4 has no parameter {', '.join(unknown)}.")
         changes = [change for change in find_changes(present, onboard) if change.name not in values]
         changes += [ParameterChange(name, value, present[name]) for name, value in values.items()]
-        if refused := write_parameters(link, changes):
-            raise UserError(f"PX4 did not accept {', '.join(refused)}.")
+        result = write_parameters(link, changes)
+        if result.unconfirmed:
+            reason = f": {result.refusal}" if result.refusal else ""
+            raise UserError(f"PX4 did not accept {', '.join(result.unconfirmed)}{reason}.")
     return changes
 
 

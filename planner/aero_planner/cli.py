@@ -98,8 +98,9 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
         help="bundle whose kernels are used instead of a compiler, and whose configuration is used without --config",
     )
     flight.add_argument(
-        "--log", type=Path, metavar="PATH", help="MCAP file to write, or folder for a file named after the date"
-    )
+        "--log", type=Path, metavar="PATH",
+        help="file to write, which ends in .mcap, or folder, which is created, for a file named after the date",
+    )  # fmt: skip
 
     run = commands.add_parser(
         "run", parents=[flight], help="fly when the pilot switches to OFFBOARD", description=_run.__doc__
@@ -138,7 +139,7 @@ def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     show = actions.add_parser("show", parents=[files], help="print every parameter in the form of a YAML file")
     show.set_defaults(call=_show)
     validate = actions.add_parser("validate", help="check a file")
-    validate.add_argument("file", help="YAML file with planner parameters, settings of the node, or both")
+    validate.add_argument("file", help="YAML file with planner parameters, settings of the node, or both; or preset")
     validate.set_defaults(call=_validate)
     return parser
 
@@ -155,13 +156,9 @@ def _open_bundle(options: argparse.Namespace, stack: contextlib.ExitStack) -> Bu
 
 
 def _load_configs(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardConfig]:
-    from aero_planner.onboard.settings import check_together, flight_config_from_name, load_onboard
+    from aero_planner.onboard.flight_config import load_checked
 
-    planner, onboard = flight_config_from_name(options.config or "default")
-    if options.onboard is not None:
-        onboard = load_onboard(options.onboard)
-    check_together(planner, onboard)
-    return planner, onboard
+    return load_checked(options.config or "default", options.onboard)
 
 
 def _show(options: argparse.Namespace) -> int:
@@ -174,9 +171,9 @@ def _show(options: argparse.Namespace) -> int:
 
 
 def _validate(options: argparse.Namespace) -> int:
-    from aero_planner.onboard.settings import check_together, load_any
+    from aero_planner.onboard.flight_config import load_any_checked
 
-    check_together(*load_any(options.file))
+    load_any_checked(options.file)
     print(f"{options.file} is valid")
     return 0
 

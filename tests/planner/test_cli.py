@@ -95,6 +95,7 @@ def test_settings_may_come_from_a_separate_file(call: Callable[..., Outcome], tm
     _, out, _ = call("config", "show", "--config", str(flight_file), "--onboard", str(own))
     assert "replan: 33.0" in out and "samples: 4" in out
     assert call("config", "validate", str(own))[0] == 0
+    assert call("config", "validate", "px4")[:2] == (0, "px4 is valid\n")
 
 
 @pytest.mark.parametrize(

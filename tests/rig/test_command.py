@@ -27,6 +27,8 @@ def test_help_lists_every_kind_of_fault(capsys):
         (["forest", "--duration", "-3"], "positive"),
         (["forest", "--speed", "1000"], "speed_limit"),
         (["forest", "--config", "missing.yaml"], "missing.yaml"),
+        (["forest", "--config", "px4", "--speed", "1000"], "speed_limit"),  # the preset is accepted
+        (["forest", "--config", "px5"], "neither a preset .did you mean 'px4'.. nor a file"),
         (["forest", "--autopilot", "px4"], "needs --px4 DIR"),
         (["forest", "--autopilot", "px4", "--px4", "missing"], "missing is not a folder"),
         (["forest", "--px4", "."], "need --autopilot px4"),

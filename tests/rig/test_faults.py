@@ -30,6 +30,9 @@ def test_a_text_describes_a_fault(text, fault):
         ("drop@-1", "write KIND"),
         ("explode@3", "no fault 'explode'"),
         ("drop=1.5@3", "probability"),
+        ("pause-node=3@1", r"pause-node has no amount; write pause-node@TIME\[\+DURATION\]\."),
+        ("kill-node=7@1", "kill-node has no amount; write kill-node@TIME"),
+        ("restart-node@1+9", "restart-node has no duration; write restart-node@TIME"),
         ("drop@10000000", r"The time of the fault drop is 10000000.0; it must be in \[0, 1e\+06\)"),
     ],
 )

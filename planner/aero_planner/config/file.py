@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from aero_planner.config.parameter import ParameterInfo, SectionedConfig, Value, did_you_mean
+from aero_planner.config.parameter import ContradictionError, ParameterInfo, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
 from aero_planner.output_files import whole_file
@@ -116,8 +116,21 @@ class ConfigFile:
                     changes[path] = info.check(_value_of(entry, path))
         try:
             return config.replace(changes)
+        except ContradictionError as error:
+            raise self.locate(error, sections) from None
         except ValueError as error:
             raise ValueError(f"{self.path}: {error}") from None
+
+    def locate(self, error: ContradictionError, sections: Sequence[Entry]) -> ContradictionError:
+        """Return `error` with the file and, if one of `sections` sets one of its parameters, the line in front."""
+        lines: dict[str, int] = {}
+        for section in sections:
+            for entry in section.entries:
+                path = f"{section.key}.{entry.key}"
+                lines[PlannerConfig.renamed.get(path, path)] = entry.line
+        line = next((lines[path] for path in error.paths if path in lines), None)
+        where = self.path if line is None else f"{self.path}, line {line}"
+        return ContradictionError(f"{where}: {error}", *error.paths, line=line)
 
     @contextlib.contextmanager
     def _located(self, entry: Entry) -> Iterator[None]:

@@ -20,6 +20,23 @@ Value = float | int | bool | str
 Config = TypeVar("Config", bound="SectionedConfig")
 
 
+class ContradictionError(ValueError):
+    """Parameters contradict each other.
+
+    Args:
+        message: names the parameters, their values and what must hold.
+        *paths: paths of the parameters. A message about a file names the line of the first one that the file sets.
+        line: line of this parameter, counted from 1; None if the message names none.
+
+    Attributes:
+        paths, line: see the arguments.
+    """
+
+    def __init__(self, message: str, *paths: str, line: int | None = None) -> None:
+        super().__init__(message)
+        self.paths, self.line = paths, line
+
+
 @dataclass(frozen=True)
 class ParameterInfo:
     """Description of one parameter."""

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from aero_planner.config.parameter import SectionedConfig, Value, did_you_mean
+from aero_planner.config.parameter import ContradictionError, SectionedConfig, Value, did_you_mean
 from aero_planner.config.presets import PRESETS
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
@@ -61,7 +61,8 @@ class PlannerConfig(SectionedConfig):
             ("costs.height", self.costs.height_min, self.costs.height_max),
         ):
             if low >= high:
-                raise ValueError(f"{path}_min is {low}; it must be less than {path}_max, which is {high}.")
+                message = f"{path}_min is {low}; it must be less than {path}_max, which is {high}."
+                raise ContradictionError(message, f"{path}_min", f"{path}_max")
 
     @property
     def anchor_count(self) -> int:

@@ -39,6 +39,7 @@ MANIFEST, CONFIG, KERNELS, GRAPH = "manifest.json", "config.yaml", "kernels", "g
 _MAX_FILES = 4096
 _MAX_BYTES = 512 * 2**20
 _MAX_MANIFEST_BYTES = 4 * 2**20
+_MAX_NAME_BYTES = 1024
 _CHUNK = 2**20
 _BLOCK = tarfile.BLOCKSIZE
 
@@ -201,11 +202,13 @@ def cpu_target() -> str:
 def _unpack(file: IO[bytes], folder: Path) -> None:
     """Write the files of an uncompressed tar file to `folder`, block by block.
 
-    Only plain files with plain names are accepted. Links, devices and extension headers are refused, so that no entry
-    decides where a file is written or how much memory is allocated. `tarfile.data_filter` is less strict: it accepts
-    links and absolute names, and extension headers of any size are read before it is called.
+    Only plain files with plain names are accepted. Links, devices and extension headers, except for GNU tar's names of
+    more than 100 characters, are refused, so that no entry decides where a file is written or how much memory is
+    allocated. `tarfile.data_filter` is less strict: it accepts links and absolute names, and extension headers of any
+    size are read before it is called.
     """
     count = total = 0
+    long_name: str | None = None  # of the next entry
     while True:
         header = file.read(_BLOCK)
         if count and (len(header) == _BLOCK and not any(header)):
@@ -215,16 +218,22 @@ def _unpack(file: IO[bytes], folder: Path) -> None:
         except (tarfile.HeaderError, ValueError, OverflowError) as error:
             is_cut = count and len(header) < _BLOCK
             raise ValueError("is truncated" if is_cut else "is neither a folder nor a whole tar file") from error
+        if entry.type == tarfile.GNUTYPE_LONGNAME:
+            long_name = _read_long_name(file, entry.size)
+            continue
         count += 1
-        name = entry.name.removeprefix("./").rstrip("/")
+        full_name, long_name = long_name or entry.name, None
+        name = full_name.removeprefix("./").rstrip("/")
         if entry.type == tarfile.DIRTYPE:
             if name not in ("", ".") and not _NAME.fullmatch(name):
-                raise ValueError(f"holds the name {entry.name[:80]!r}, which is not a plain relative path")
+                raise ValueError(f"holds the name {full_name[:80]!r}, which is not a plain relative path")
             continue
+        if entry.type in (tarfile.XHDTYPE, tarfile.XGLTYPE):
+            raise ValueError("is a tar file in pax format, which is not read; pack the folder with tar --format=gnu")
         if entry.type not in (tarfile.REGTYPE, tarfile.AREGTYPE):
-            raise ValueError(f"holds {entry.name[:80]!r}, which is a link or another special file")
+            raise ValueError(f"holds {full_name[:80]!r}, which is a link or another special file")
         if not _NAME.fullmatch(name):
-            raise ValueError(f"holds the name {entry.name[:80]!r}, which is not a plain relative path")
+            raise ValueError(f"holds the name {full_name[:80]!r}, which is not a plain relative path")
         total += max(entry.size, 0)
         if entry.size < 0 or total > _MAX_BYTES or count > _MAX_FILES:
             raise ValueError("is larger than any bundle")
@@ -237,6 +246,15 @@ def _unpack(file: IO[bytes], folder: Path) -> None:
         except (FileExistsError, NotADirectoryError, IsADirectoryError) as error:
             raise ValueError(f"holds {name!r} twice") from error
         file.read(-entry.size % _BLOCK)
+
+
+def _read_long_name(file: IO[bytes], size: int) -> str:
+    """Return the content of an entry of type "L" with which GNU tar precedes an entry with a long name."""
+    if not 0 < size <= _MAX_NAME_BYTES:
+        raise ValueError(f"holds a name of {size} bytes, which is not a plain relative path")
+    content = b"".join(_chunks(file, size))
+    file.read(-size % _BLOCK)
+    return content.rstrip(b"\0").decode("ascii", "replace")
 
 
 def _chunks(file: IO[bytes], size: int) -> Iterator[bytes]:

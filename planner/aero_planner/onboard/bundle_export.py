@@ -10,7 +10,8 @@ from typing import Any
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config, read_text
 from aero_planner.deploy.export import export
-from aero_planner.onboard.settings import check_together, flight_config_from_name, format_onboard
+from aero_planner.onboard.flight_config import load_checked
+from aero_planner.onboard.settings import format_onboard
 
 
 def export_bundle(
@@ -31,8 +32,7 @@ def export_bundle(
         ValueError: the configuration is wrong, or as for `aero_planner.deploy.export.export`.
         OSError: the bundle can't be written.
     """
-    planner, onboard = flight_config_from_name(config)
-    check_together(planner, onboard)
+    planner, onboard = load_checked(config)
     is_file = str(config) not in PlannerConfig.presets() and Path(config).exists()
     text = read_text(config) if is_file else f"{format_config(planner)}\n{format_onboard(onboard)}"
     return export(

@@ -32,9 +32,9 @@ def open_link(
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
         ValueError: The URL is not understood, or the signing key can't be read.
-        OSError: The port is in use or the device does not exist; says what to do.
+        OSError: The port is in use, the device does not exist, or a name has no address; says what to do.
     """
-    settings = config.mavlink
+    settings, goal_senders = config.mavlink, _goal_senders(config)
     try:
         return MavlinkLink(
             settings.url,
@@ -43,7 +43,7 @@ def open_link(
             system=settings.system,
             component=settings.component,
             state_rate=settings.state_rate,
-            goal_senders=_goal_senders(config),
+            goal_senders=goal_senders,
             key=_signing_key(config),
             clock=clock,
         )
@@ -75,9 +75,24 @@ def _goal_senders(config: OnboardConfig) -> list[tuple[int, str | None]]:
         senders.append(
             (config.mavlink.system, None)
             if entry == "vehicle"
-            else (int(system), None if address == "autopilot" else address)
+            else (int(system), None if address == "autopilot" else _resolve(address, "mavlink.goal_senders"))
         )
     return senders
+
+
+def _resolve(name: str, setting: str) -> str:
+    """Return the address of a name in a setting.
+
+    Raises:
+        OSError: There is none; names the setting.
+    """
+    try:
+        return socket.gethostbyname(name)
+    except OSError as error:
+        raise OSError(
+            f"can't find the address of {name} ({setting}): {error.strerror or error}; correct the name, or give an "
+            "address such as 192.168.1.20."
+        ) from error
 
 
 def _signing_key(config: OnboardConfig) -> bytes | None:
@@ -94,11 +109,11 @@ def open_lidar(config: OnboardConfig, *, clock: Callable[[], float] = time.monot
     """Listen to the LiDAR; `clock` is the host time [s].
 
     Raises:
-        OSError: The port is in use; says what to do.
+        OSError: The port is in use, or the sensor's name has no address; says what to do.
         ValueError: The sensor's address is missing although other computers can reach the port.
     """
     settings = config.lidar
-    sensor = None if settings.sensor == "any" else settings.sensor
+    sensor = None if settings.sensor == "any" else _resolve(settings.sensor, "lidar.sensor")
     if sensor is None and not is_loopback(settings.host):
         raise ValueError(
             f"lidar.sensor is any, but every computer in the network can send points to {settings.host}:"

@@ -39,6 +39,11 @@ class GroundTracker:
     def __init__(self) -> None:
         self.clear()
 
+    @property
+    def known_height(self) -> float | None:
+        """Height of the ground, world frame [m]; None while it is only assumed."""
+        return None if self.source is GroundSource.ASSUMED else self.height
+
     def clear(self) -> None:
         """Forget everything, because the origin of the world frame has moved."""
         self.height = 0.0

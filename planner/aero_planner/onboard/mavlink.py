@@ -71,6 +71,7 @@ class MavlinkLink(MavlinkSender):
         dropped: Number of states and goals that could not be used, by message and reason.
         parameters: Values of the autopilot's parameters that have arrived, by name; integers, too, in PX4's encoding.
         ignored: Number of messages that were ignored because of their sender, by kind and sender.
+        is_drained: True if the newest poll has read all that had arrived.
     """
 
     def __init__(
@@ -102,6 +103,7 @@ class MavlinkLink(MavlinkSender):
         )
         self._state_rate = state_rate
         self._polling = threading.Lock()
+        self.is_drained = False
         self.goal: NDArray[np.float64] | None = None
         self.received: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
@@ -157,9 +159,11 @@ class MavlinkLink(MavlinkSender):
     def _receive(self) -> None:
         """Read the messages that have arrived, within the limits of one poll."""
         deadline = time.thread_time() + _POLL_TIME
+        self.is_drained = False
         for _ in range(_DATAGRAMS_PER_POLL):
             data = self._transport.receive()
             if data is None:
+                self.is_drained = True
                 return
             messages = self.parser.parse(data)
             if self._signatures is not None:

@@ -266,7 +266,7 @@ class Node:
             self._sample = sample  # another message has changed its flags
         if self._sample is not None and self._sample is not previous:
             self._track_ground(self._sample, previous)
-        self._goals.update(self._link.goal, ground=self.ground.height)
+        self._goals.update(self._link.goal, ground=self.ground.known_height)
 
     def _track_ground(self, sample: VehicleSample, previous: VehicleSample | None) -> None:
         if sample.in_air is False and not sample.armed:

@@ -21,6 +21,7 @@ from aero_planner.deploy.bundle import Bundle
 from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
+from aero_planner.onboard.log_place import check_log_place
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
@@ -62,13 +63,11 @@ def preflight(
         onboard: Configuration of the node.
         device: Device of the planner.
         goal: [m], shape [3], world frame; None expects a goal over the link.
-        log: File or folder of the flight log; None for no log.
+        log: Where the flight log is to be written, see `aero_planner.onboard.log_place`; None for no log.
         listen: Time to listen to sensor and autopilot [s].
         bundle: Bundle whose kernels are used; it must fit configuration and device.
-        confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True; None writes none.
-
-    Raises:
-        ValueError: Parameters were to be written to a vehicle that is armed.
+        confirm: Asked whether to write changes of PX4's parameters, which is done if it returns True and the vehicle
+            is disarmed; None writes none.
     """
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
@@ -186,12 +185,11 @@ def _check_disk(log: str | Path | None) -> Iterator[Check]:
     if log is None:
         return
     name = "disk for the log"
-    folder = Path(log) if Path(log).is_dir() else Path(log).resolve().parent
     try:
+        folder = check_log_place(log)
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        advice = "Create the folder, or name another one with --log."
-        yield Check(name, f"{folder}: {error.strerror}", ok=False, advice=advice)
+        yield Check(name, str(error), ok=False, advice="The node doesn't start without the log that --log names.")
         return
     minutes = free / _LOG_RATE / 60.0
     finding = f"{free / 1e9:.1f} GB free in {folder}: about {minutes:.0f} min"
@@ -260,11 +258,17 @@ def _check_parameters(
     values = read_parameters(link, names)
     changes = find_changes(values, onboard)
     if changes and confirm is not None and confirm(changes):
-        refused = write_parameters(link, changes)
+        result = write_parameters(link, changes)
         values |= read_parameters(link, [change.name for change in changes])
-        if refused:
+        unconfirmed = ", ".join(result.unconfirmed)
+        if result.refusal:
+            advice = "Parameters are written only to a disarmed vehicle: disarm it, and run preflight --set again."
+            yield Check("parameters", f"{result.refusal}; not written: {unconfirmed}", ok=False, advice=advice)
+        elif unconfirmed:
             advice = "The autopilot did not confirm them: set them with a ground station."
-            yield Check("parameters", f"not written: {', '.join(refused)}", ok=False, advice=advice)
+            yield Check("parameters", f"not written: {unconfirmed}", ok=False, advice=advice)
+        else:
+            yield Check("parameters", f"written: {', '.join(change.name for change in changes)}")
     yield from check_parameters(values, onboard)
 
 

@@ -14,6 +14,9 @@ from aero_planner.onboard.settings import OnboardConfig
 _TIMEOUT = 2.0  # [s] for an answer
 _RETRY_PERIOD = 0.4  # [s] between two requests
 _POLL_PERIOD = 0.01  # [s]
+_HEARTBEAT_TIMEOUT = 3.0  # [s] for the next heartbeat; PX4 sends one per second
+_HEARTBEAT_MAX_AGE = 2.0  # [s] at a write
+_POLLS_MAX = 1000  # to read all that has arrived
 _MAX_LOSS_TIME = 0.5  # [s]
 _CONTROL_PERIODS = 4.0  # in which the failsafe process must have sent its first command
 _MAX_HOVER_ERROR = 0.05  # relative
@@ -49,6 +52,20 @@ class ParameterChange:
     """The present value."""
 
 
+@dataclass(frozen=True)
+class WriteResult:
+    """What has become of parameters that were to be written."""
+
+    unconfirmed: tuple[str, ...]
+    """Names of those that the autopilot has not confirmed."""
+    refusal: str = ""
+    """Why writing ended before all of them were sent, such as "the vehicle is armed"; empty if it did not."""
+
+
+class _WriteRefusedError(Exception):
+    """Nothing may be written now; the message says why."""
+
+
 def read_parameters(
     link: MavlinkLink,
     names: Collection[str],
@@ -69,22 +86,31 @@ def write_parameters(
     *,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], object] = time.sleep,
-) -> list[str]:
-    """Write parameters and return the names of those that the autopilot does not confirm.
+) -> WriteResult:
+    """Write parameters while the vehicle is disarmed.
 
-    Raises:
-        ValueError: The vehicle is armed, or it is unknown whether it is; nothing was written.
+    The first one is sent only after a heartbeat that is newer than this call, and each one only while the newest
+    heartbeat says that the vehicle is disarmed.
     """
-    if link.state is None or link.state.armed:
-        raise ValueError("the parameters are written only while the vehicle is disarmed; disarm it first.")
     values = {change.name: change.value for change in changes}
     for name in values:
         link.parameters.pop(name, None)
-    _request(link, values, lambda name: link.set_parameter(name, values[name]), clock, sleep)
-    return [
+
+    def send(name: str) -> None:
+        _check_disarmed(link, clock)
+        link.set_parameter(name, values[name])
+
+    refusal = ""
+    try:
+        _await_heartbeat(link, clock, sleep)
+        _request(link, values, send, clock, sleep)
+    except _WriteRefusedError as error:
+        refusal = str(error)
+    unconfirmed = tuple(
         name for name, value in values.items()
         if not math.isclose(link.parameters.get(name, math.nan), value, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE)
-    ]  # fmt: skip
+    )  # fmt: skip
+    return WriteResult(unconfirmed, refusal if unconfirmed else "")
 
 
 def check_parameters(values: dict[str, float], onboard: OnboardConfig) -> Iterator[Check]:
@@ -201,3 +227,33 @@ def _request(
                 send(name)
         sleep(_POLL_PERIOD)
         link.poll()
+
+
+def _await_heartbeat(link: MavlinkLink, clock: Callable[[], float], sleep: Callable[[float], object]) -> None:
+    """Wait for a heartbeat that is sent from now on; raises `_WriteRefusedError` if none arrives."""
+    _read_all(link)  # what has waited, for example while the user was asked, counts as having arrived before
+    start = clock()
+    while link.state is None or link.state.heartbeat_time <= start:
+        if clock() - start > _HEARTBEAT_TIMEOUT:
+            raise _WriteRefusedError("whether the vehicle is armed is unknown, since no heartbeat arrives")
+        sleep(_POLL_PERIOD)
+        link.poll()
+
+
+def _check_disarmed(link: MavlinkLink, clock: Callable[[], float]) -> None:
+    """Raise `_WriteRefusedError` unless a recent heartbeat, the newest that has arrived, says that it is disarmed."""
+    _read_all(link)
+    if link.state is None or link.state.armed:
+        raise _WriteRefusedError("the vehicle is armed")
+    age = clock() - link.state.heartbeat_time
+    if age > _HEARTBEAT_MAX_AGE:
+        raise _WriteRefusedError(f"whether the vehicle is armed is unknown, since its heartbeat is {age:.1f} s old")
+
+
+def _read_all(link: MavlinkLink) -> None:
+    """Read all messages that have arrived, of which a poll reads a part."""
+    for _ in range(_POLLS_MAX):
+        link.poll()
+        if link.is_drained:
+            return
+    raise _WriteRefusedError("whether the vehicle is armed is unknown, since messages arrive faster than they are read")

@@ -19,6 +19,7 @@ from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import Observer
 from aero_planner.onboard.known_drone import config_on_drone
+from aero_planner.onboard.log_place import make_log_path, unwritable
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
@@ -53,7 +54,7 @@ def run_node(
         planner_config, onboard: configurations to fly with.
         device, seed, threads: as for `Planner`.
         goal: position [m], shape [3], world frame; None if the goal arrives over the link.
-        log: MCAP file to write, or folder for a file whose name is the date; None for no flight log.
+        log: where the flight log is written, see `aero_planner.onboard.log_place`; None for no flight log.
         bundle: bundle whose kernels are used, after `Bundle.activate`.
 
     Returns:
@@ -134,11 +135,11 @@ def _open_observers(
 ) -> list[Observer]:
     observers: list[Observer] = []
     if log is not None:
-        path = log / time.strftime("flight_%Y%m%d_%H%M%S.mcap") if log.is_dir() else log
+        path = make_log_path(log)
         try:
             flight_log = FlightLog(path, planner, onboard)
         except OSError as error:
-            raise OSError(f"the flight log {path} can't be written: {error.strerror or error}.") from error
+            raise unwritable(path, error) from error
         observers.append(opened.enter_context(contextlib.closing(flight_log)))
         _log.info("the flight log is %s", flight_log.path)
     if onboard.telemetry.enabled:

@@ -9,11 +9,17 @@ from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
-from aero_planner.config.parameter import ParameterSection, SectionedConfig, live, structural, switch, text
+from aero_planner.config.parameter import (
+    ContradictionError,
+    ParameterSection,
+    SectionedConfig,
+    live,
+    structural,
+    switch,
+    text,
+)
+from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER
 from aero_planner.sweeps import THINNING
-
-_ADDRESS = r"[A-Za-z0-9_.:-]+"
-_SENDER = rf"(?:vehicle|[0-9]{{1,3}}@{_ADDRESS})"
 
 
 @dataclass(frozen=True)
@@ -21,7 +27,7 @@ class LidarSettings(ParameterSection, section="lidar"):
     """LiDAR: network addresses, mounting, and the cloud made of its sweeps."""
 
     host: str = text(
-        "0.0.0.0", _ADDRESS, "an address of this computer",
+        "0.0.0.0", ADDRESS, "an address of this computer",
         "Local address on which the packets of the sensor arrive; 0.0.0.0 stands for all addresses.",
         label="Local address",
     )  # fmt: skip
@@ -29,7 +35,7 @@ class LidarSettings(ParameterSection, section="lidar"):
         56301, 0, 65535, "UDP port to which the sensor sends its points; 0 uses any free port.", label="UDP port"
     )
     sensor: str = text(
-        "any", _ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored. Any "
+        "any", ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored. Any "
         "is accepted only where lidar.host is a loopback address.",
         label="Sensor address",
     )  # fmt: skip
@@ -80,7 +86,8 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
     """Connection to the autopilot."""
 
     url: str = text(
-        "udpin:127.0.0.1:14540", r"[A-Za-z0-9_./:,-]+", "a connection such as udpin:0.0.0.0:14540 or /dev/ttyTHS1",
+        "udpin:127.0.0.1:14540", CONNECTION,
+        "a connection such as udpin:0.0.0.0:14540, udpout:192.168.1.20:14540 or /dev/ttyTHS1",
         "Connection in the notation of pymavlink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, or a serial device. With "
         "udpin, the first autopilot that is heard is the only one from then on.",
         label="Connection",
@@ -93,7 +100,8 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
         191, 1, 255, "Component id of this computer; 191 is the first onboard computer.", label="Component id"
     )
     goal_senders: str = text(
-        "vehicle", rf"{_SENDER}(,{_SENDER})*", "vehicle, or a list such as vehicle,255@autopilot,255@192.168.1.20",
+        "vehicle", rf"{GOAL_SENDER}(,{GOAL_SENDER})*",
+        "vehicle, or a list such as vehicle,255@autopilot,255@192.168.1.20, with system ids from 1 to 255",
         "Who may send goals, separated by commas: vehicle, the autopilot's own system; SYSTEM@autopilot, another "
         "system, such as a ground station, whose messages the autopilot forwards; SYSTEM@ADDRESS, one that sends them "
         "here itself.", label="Senders of goals",
@@ -262,7 +270,7 @@ class TelemetrySettings(ParameterSection, section="telemetry"):
 
     enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
     host: str = text(
-        "127.0.0.1", _ADDRESS, "an address of this computer",
+        "127.0.0.1", ANY_ADDRESS, "an address of this computer",
         "Local address to listen on; with 0.0.0.0, everyone in the network can watch, but nobody can steer.",
         label="Local address",
     )  # fmt: skip
@@ -300,33 +308,37 @@ class OnboardConfig(SectionedConfig):
         for stem in ("fence_height", "fence_x", "fence_y"):
             low, high = getattr(self.limits, f"{stem}_min"), getattr(self.limits, f"{stem}_max")
             if low >= high:
-                raise ValueError(
-                    f"limits.{stem}_min is {low}; it must be less than limits.{stem}_max, which is {high}."
-                )
+                message = f"limits.{stem}_min is {low}; it must be less than limits.{stem}_max, which is {high}."
+                raise ContradictionError(message, f"limits.{stem}_min", f"limits.{stem}_max")
         if self.limits.plan_age * self.rates.replan < 2.0:
-            raise ValueError(
-                f"limits.plan_age is {self.limits.plan_age}; at {self.rates.replan:g} plans per second it must be at "
-                f"least {2.0 / self.rates.replan:g} s, or every plan is too old before the next one is ready."
-            )
+            raise ContradictionError(
+                f"limits.plan_age is {self.limits.plan_age}; with a rates.replan of {self.rates.replan:g} Hz it must "
+                f"be at least {2.0 / self.rates.replan:g} s, or every plan is too old before the next one is ready.",
+                "limits.plan_age", "rates.replan",
+            )  # fmt: skip
         if self.limits.deadline * self.rates.control < 2.0:
-            raise ValueError(
-                f"limits.deadline is {self.limits.deadline}; at {self.rates.control:g} commands per second it must be "
-                f"at least {2.0 / self.rates.control:g} s."
-            )
+            raise ContradictionError(
+                f"limits.deadline is {self.limits.deadline}; with a rates.control of {self.rates.control:g} Hz it must "
+                f"be at least {2.0 / self.rates.control:g} s.",
+                "limits.deadline", "rates.control",
+            )  # fmt: skip
 
 
 def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
-    """Raise ValueError if the configurations of planner and node contradict each other."""
+    """Raise `ContradictionError`, a ValueError, if the configurations of planner and node contradict each other."""
     if onboard.limits.plan_age >= planner.horizon:
-        raise ValueError(
+        raise ContradictionError(
             f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
-            f"sampling.steps x sampling.dt = {planner.horizon:g} s."
-        )
-    if planner.vehicle.thrust_max <= planner.vehicle.mass * planner.vehicle.gravity:
-        raise ValueError(
-            f"vehicle.thrust_max is {planner.vehicle.thrust_max} N; it must exceed the weight of "
-            f"{planner.vehicle.mass * planner.vehicle.gravity:.2f} N, or the drone can't fly."
-        )
+            f"sampling.steps x sampling.dt = {planner.horizon:g} s.",
+            "limits.plan_age", "sampling.steps", "sampling.dt",
+        )  # fmt: skip
+    vehicle = planner.vehicle
+    if vehicle.thrust_max <= vehicle.mass * vehicle.gravity:
+        raise ContradictionError(
+            f"vehicle.thrust_max is {vehicle.thrust_max} N; it must exceed the weight of "
+            f"{vehicle.mass * vehicle.gravity:.2f} N, vehicle.mass x vehicle.gravity, or the drone can't fly.",
+            "vehicle.thrust_max", "vehicle.mass", "vehicle.gravity",
+        )  # fmt: skip
 
 
 def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:

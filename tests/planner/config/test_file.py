@@ -133,9 +133,9 @@ def test_errors_name_file_line_and_problem(tmp_path: Path, text: str, line: int,
     assert problem in message and "\n" not in message
 
 
-def test_contradictions_name_the_file(tmp_path: Path):
+def test_contradictions_name_the_file_and_a_line(tmp_path: Path):
     path = write(tmp_path / "wrong.yaml", "costs:\n  distance_min: 0.9\n")
-    with pytest.raises(ValueError, match=r"wrong.yaml: costs.distance_min is 0.9; it must be less than"):
+    with pytest.raises(ValueError, match=r"wrong.yaml, line 2: costs.distance_min is 0.9; it must be less than"):
         load_config(path)
 
 

@@ -1,3 +1,4 @@
+import hashlib
 import io
 import json
 import os
@@ -77,11 +78,24 @@ def test_a_bundle_is_copied_and_the_copy_is_removed(folder: Path, temporary: Pat
     assert wp.config.kernel_cache_dir == cache and not leftovers(temporary)
 
 
-def test_tar_files_made_by_tar_are_read(folder: Path):
+@pytest.mark.parametrize("form", ["ustar", "gnu"])
+def test_tar_files_made_by_tar_are_read(folder: Path, form: str):
     path = folder.with_suffix(".tar")
-    subprocess.run(["tar", "--format=ustar", "-C", str(folder), "-cf", str(path), "."], check=True)
+    subprocess.run(["tar", f"--format={form}", "-C", str(folder), "-cf", str(path), "."], check=True)
     with open_bundle(path) as bundle:
         assert (bundle.folder / CUBIN).stat().st_size == 3004
+
+
+def test_long_names_in_gnu_tars_format_are_read(folder: Path):
+    name = f"kernels/{'long_' * 40}.o"
+    (folder / name).write_bytes(b"kernel")
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["files"][name] = {"size": 6, "sha256": hashlib.sha256(b"kernel").hexdigest()}
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    path = folder.with_suffix(".tar")
+    subprocess.run(["tar", "--format=gnu", "-C", str(folder), "-cf", str(path), "."], check=True)
+    with open_bundle(path) as bundle:
+        assert (bundle.folder / name).read_bytes() == b"kernel"
 
 
 def test_another_structure_is_refused_but_live_parameters_may_differ(folder: Path):
@@ -186,8 +200,9 @@ def tar_with(folder: Path, entry: tarfile.TarInfo, content: bytes = b"") -> Path
     first = io.BytesIO()
     with tarfile.open(fileobj=first, mode="w", format=tarfile.GNU_FORMAT) as archive:
         archive.addfile(entry, io.BytesIO(content))
+        end = archive.offset
     path = packed(folder)
-    path.write_bytes(first.getvalue()[: first.getvalue().index(bytes(1024), 512)] + path.read_bytes())
+    path.write_bytes(first.getvalue()[:end] + path.read_bytes())
     return path
 
 
@@ -210,7 +225,13 @@ def entry(name: str, kind: bytes = tarfile.REGTYPE, *, size: int = 0, to: str = 
         (entry("pipe", tarfile.FIFOTYPE), "is a link or another special file"),
         (entry("device", tarfile.CHRTYPE), "is a link or another special file"),
         (entry("sparse", tarfile.GNUTYPE_SPARSE), "is a link or another special file"),
-        (entry("a" * 120), "is a link or another special file"),  # GNU extension for long names
+        # Long names, for which GNU tar has an extension.
+        (entry("kernels/../../" + "a" * 120), "is not a plain relative path"),
+        (entry("/" + "a" * 120), "is not a plain relative path"),
+        (entry("a" * 120, tarfile.SYMTYPE, to="/tmp"), "is a link"),
+        (entry("a", tarfile.SYMTYPE, to="/" + "a" * 120), "is a link"),
+        (entry("a" * 2000), "holds a name of 2001 bytes"),
+        (entry("pax", tarfile.XHDTYPE), "in pax format, which is not read; pack the folder with tar --format=gnu"),
         (entry("config.yaml"), "holds 'config.yaml' twice"),
         (entry("kernels"), "holds 'kernels/"),
     ],

@@ -30,13 +30,13 @@ class Peer:
     def heartbeat(self, base=ARMED, mode=OFFBOARD):
         self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, base, mode, 4, 3))
 
-    def received(self, name):
+    def received(self, *names):
         messages = []
         while True:
             try:
                 messages += self.parser.parse_buffer(self.socket.recv(2048)) or []
             except BlockingIOError:
-                return [m for m in messages if m.get_type() == name]
+                return [m for m in messages if m.get_type() in names]
 
 
 def odometry(

@@ -86,6 +86,21 @@ def test_on_the_ground_it_waits_and_says_why(small_planner: Planner, caplog: pyt
     assert simulation.node.state is State.READY
 
 
+def test_a_goal_below_the_ground_that_is_found_in_flight_is_not_flown_to(
+    small_planner: Planner, caplog: pytest.LogCaptureFixture
+):
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 1.5), changes={"limits.fence_height_min": -0.5})
+    simulation.engage()
+    simulation.run(0.5)
+    assert simulation.node.state is State.FLYING
+    for k in range(10):  # measured anew each time
+        simulation.link.ground_height = 2.1 + 0.001 * (k % 2)
+        simulation.run(0.1)
+    assert simulation.node.goal is None and simulation.node.state is State.BRAKING
+    assert "no plan in time" in str(simulation.node.changes[-1])
+    assert "is refused: it lies outside the geofence, at -0.60 instead of -0.5 to 30 m above the ground" in caplog.text
+
+
 def test_the_planner_treats_the_bottom_of_the_fence_as_ground(small_planner: Planner):
     simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 0.7})
     simulation.run(0.3)
@@ -94,7 +109,7 @@ def test_the_planner_treats_the_bottom_of_the_fence_as_ground(small_planner: Pla
 
 def test_the_floor_lies_above_the_ground_that_the_distance_sensor_sees(small_planner: Planner):
     """The autopilot's height is 0.6 m too large: by it alone, the drone would be 0.4 m above the floor of the fence."""
-    simulation = Simulation(small_planner, WORLD, GOAL, changes={"limits.fence_height_min": 1.6})
+    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 3.0), changes={"limits.fence_height_min": 1.6})
     raised = np.array([0.0, 0.0, 0.6])
     simulation.link.spoil = lambda state: dataclasses.replace(state, position=np.asarray(state.position) + raised)
     simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 1.5]))

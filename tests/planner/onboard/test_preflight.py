@@ -2,6 +2,7 @@ import dataclasses
 import json
 import math
 import socket
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from aero_planner.onboard.connections import open_lidar
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.preflight import check_memory, check_thrust, preflight
 from aero_planner.onboard.settings import OnboardConfig
+from tests.planner.onboard.mavlink_peer import ARMED, Peer, mavlink, odometry
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
 
 FAST = SMALL.replace({"sampling.samples": 2, "sampling.steps": 8})
@@ -200,6 +202,36 @@ def test_failures_before_the_inputs_are_checked(tmp_path: Path):
     assert "lidar.port" in found["LiDAR port"].finding and "in use" in found["LiDAR port"].finding
     assert not found["telemetry port"].ok and not found["telemetry port"].required
     assert "vehicle state" not in found
+
+
+def test_parameters_are_not_written_to_a_vehicle_that_is_armed_before_the_answer(port: int):
+    """The autopilot reports one wrong parameter, and is armed while the user is asked."""
+    settings = {"lidar.host": "127.0.0.1", "lidar.port": 0, "lidar.points_max": 2000, "telemetry.enabled": False}
+    config = OnboardConfig().replace({**settings, "mavlink.url": f"udpin:127.0.0.1:{port}"})
+    peer, is_armed, is_over = Peer(port), threading.Event(), threading.Event()
+    written: list[str] = []
+
+    def serve() -> None:
+        while not is_over.wait(0.02):
+            peer.send(odometry())
+            peer.heartbeat(ARMED if is_armed.is_set() else 0, 0)
+            for message in peer.received("PARAM_REQUEST_READ", "PARAM_SET"):
+                name = message.param_id
+                written.extend([name] if message.get_type() == "PARAM_SET" else [])
+                value = {"COM_OF_LOSS_T": 1.0}.get(name, 0.0)
+                peer.send(mavlink.MAVLink_param_value_message(name.encode(), value, 9, 1000, 7))
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        report = preflight(FAST, config, listen=0.3, confirm=lambda changes: is_armed.set() or bool(changes))
+    finally:
+        is_over.set()
+        thread.join()
+        peer.socket.close()
+    check = next(check for check in report.checks if check.name == "parameters")
+    assert not written and not check.ok and "disarm it" in check.advice
+    assert check.finding.startswith("the vehicle is armed; not written: COM_OF_LOSS_T")
 
 
 def test_a_thrust_curve_comes_with_a_note_on_compensation():

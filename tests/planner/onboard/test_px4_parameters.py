@@ -11,6 +11,7 @@ from aero_planner.onboard.connections import open_link
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
+    WriteResult,
     check_parameters,
     find_changes,
     parameter_names,
@@ -21,6 +22,8 @@ from aero_planner.onboard.settings import OnboardConfig
 
 mavlink = load_dialect()
 NAN21 = [math.nan] * 21
+ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+CHANGE = ParameterChange("NAV_RCL_ACT", 1, 2)
 DEFAULTS = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 4, "NAV_RCL_ACT": 2,
     "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MAV_1_FORWARD": 0,
@@ -29,22 +32,25 @@ DEFAULTS = {
 
 
 class Px4:
-    """Serves parameters; drops every third request, as a poor link would."""
+    """Serves parameters and sends a heartbeat per second; drops every third request, as a poor link would."""
 
     def __init__(self, parameters: dict[str, float | int], base_mode: int = 0) -> None:
         self.parameters = dict(parameters)
         self.now = 100.0
+        self.base_mode = base_mode
+        self.has_heartbeat = True
         self.requests = 0
+        self.set_requests = 0
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.bind(("127.0.0.1", 0))
         self.socket.settimeout(60.0)
         self.protocol = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         url = f"udpout:127.0.0.1:{self.socket.getsockname()[1]}"
-        self.link = open_link(OnboardConfig().replace({"mavlink.url": url}), VehicleConfig())
+        self.link = open_link(OnboardConfig().replace({"mavlink.url": url}), VehicleConfig(), clock=self.clock)
         self.link.poll()
         _, self.peer = self.socket.recvfrom(2048)
         self.socket.setblocking(False)
-        self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, base_mode, 0, 4, 3))
+        self.send_heartbeat()
         position = [0.0] * 3, [1.0, 0.0, 0.0, 0.0], [0.0] * 6
         self.send(mavlink.MAVLink_odometry_message(1, 1, 1, *position[0], position[1], *position[2], NAN21, NAN21))
         self.link.poll()
@@ -52,12 +58,18 @@ class Px4:
     def send(self, message) -> None:
         self.socket.sendto(bytes(message.pack(self.protocol)), self.peer)
 
+    def send_heartbeat(self) -> None:
+        self.heartbeat_time = self.now
+        self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, self.base_mode, 0, 4, 3))
+
     def clock(self) -> float:
         return self.now
 
     def sleep(self, seconds: float) -> None:
         """Let time pass and answer what has arrived."""
         self.now += seconds
+        if self.has_heartbeat and self.now - self.heartbeat_time >= 1.0:
+            self.send_heartbeat()
         while True:
             try:
                 data = self.socket.recv(2048)
@@ -70,6 +82,7 @@ class Px4:
         if message.get_type() not in ("PARAM_REQUEST_READ", "PARAM_SET"):
             return
         self.requests += 1
+        self.set_requests += message.get_type() == "PARAM_SET"
         name = message.param_id
         if self.requests % 3 == 1 or name not in self.parameters:
             return
@@ -86,7 +99,7 @@ class Px4:
     def read(self, names) -> dict[str, float]:
         return read_parameters(self.link, names, clock=self.clock, sleep=self.sleep)
 
-    def write(self, changes) -> list[str]:
+    def write(self, changes) -> WriteResult:
         return write_parameters(self.link, changes, clock=self.clock, sleep=self.sleep)
 
     def close(self) -> None:
@@ -128,7 +141,7 @@ def test_px4s_defaults_are_found_wanting_and_repaired(connect):
     assert {change.name: (change.before, change.value) for change in changes} == {
         "COM_OF_LOSS_T": (1.0, 0.2), "COM_RC_OVERRIDE": (1, 3), "COM_RCL_EXCEPT": (4, 0), "NAV_RCL_ACT": (2, 1),
     }  # fmt: skip
-    assert px4.write(changes) == []
+    assert px4.write(changes) == WriteResult(())
     assert px4.parameters["COM_RC_OVERRIDE"] == 3 and px4.parameters["COM_OF_LOSS_T"] == pytest.approx(0.2)
     values = px4.read(parameter_names(config))
     assert find_changes(values, config) == []
@@ -139,15 +152,39 @@ def test_a_refused_change_is_named(connect):
     px4 = connect({"NAV_RCL_ACT": 2})
     values = px4.read(["NAV_RCL_ACT"])
     del px4.parameters["NAV_RCL_ACT"]
-    assert px4.write([ParameterChange("NAV_RCL_ACT", 1, values["NAV_RCL_ACT"])]) == ["NAV_RCL_ACT"]
+    assert px4.write([ParameterChange("NAV_RCL_ACT", 1, values["NAV_RCL_ACT"])]) == WriteResult(("NAV_RCL_ACT",))
 
 
-def test_nothing_is_written_to_an_armed_vehicle(connect):
-    px4 = connect(DEFAULTS, mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-    with pytest.raises(ValueError, match="disarm it first"):
-        px4.write([ParameterChange("NAV_RCL_ACT", 1, 2)])
+def test_nothing_is_written_to_a_vehicle_that_was_armed_while_the_user_was_asked(connect):
+    px4 = connect(DEFAULTS)
+    px4.send_heartbeat()  # still waits, unread, when the answer comes
+    px4.base_mode = ARMED
+    assert px4.write([CHANGE]) == WriteResult(("NAV_RCL_ACT",), "the vehicle is armed")
     px4.sleep(0.1)
-    assert px4.requests == 0
+    assert px4.set_requests == 0
+
+
+def test_writing_ends_when_the_vehicle_is_armed(connect):
+    px4 = connect({"NAV_RCL_ACT": 2})
+    px4.read(["NAV_RCL_ACT"])
+    del px4.parameters["NAV_RCL_ACT"]  # so that the request is repeated
+
+    def arm_after_the_first_request(seconds: float) -> None:
+        if px4.set_requests == 1 and px4.base_mode != ARMED:
+            px4.base_mode = ARMED
+            px4.send_heartbeat()
+        px4.sleep(seconds)
+
+    result = write_parameters(px4.link, [CHANGE], clock=px4.clock, sleep=arm_after_the_first_request)
+    assert result == WriteResult(("NAV_RCL_ACT",), "the vehicle is armed") and px4.set_requests == 1
+
+
+def test_nothing_is_written_without_heartbeats(connect):
+    px4 = connect(DEFAULTS)
+    px4.has_heartbeat = False
+    result = px4.write([CHANGE])
+    assert result.unconfirmed == ("NAV_RCL_ACT",) and "no heartbeat arrives" in result.refusal
+    assert px4.set_requests == 0 and px4.now == pytest.approx(103.0, abs=0.1)
 
 
 def test_the_wanted_values_follow_the_settings(connect):

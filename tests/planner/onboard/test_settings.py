@@ -1,4 +1,5 @@
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -56,12 +57,53 @@ def test_texts_must_match_their_pattern(path: str, wrong: object):
 
 
 @pytest.mark.parametrize(
+    ("path", "right", "wrong"),
+    [
+        (
+            "mavlink.url",
+            [
+                "udpin:0.0.0.0:14540",
+                "udpout:drone-3.local:65535",
+                "/dev/ttyTHS1",
+                "/dev/serial/by-id/usb-3D_R:1-if00",
+            ],
+            ["udpin:14540", "udpin:0.0.0.0:65536", "udpin:300.0.0.1:14540", "tcp:127.0.0.1:5760", "COM3", "14540"],
+        ),
+        (
+            "lidar.host",
+            ["0.0.0.0", "255.255.255.255", "jetson-3"],
+            ["999.1.1.1", "1.2.3", "1.2.3.4.5", "1"],
+        ),
+        ("lidar.sensor", ["any", "192.168.1.142", "3d.lidar"], ["192.168.1.256", "::1"]),
+        ("telemetry.host", ["::", "fe80::1", "127.0.0.1"], ["127.0.0.256", "127.1"]),
+        (
+            "mavlink.goal_senders",
+            ["vehicle", "1@autopilot", "vehicle,255@autopilot,255@192.168.1.20,9@station"],
+            ["999@autopilot", "256@autopilot", "0@autopilot", "255@192.168.1.300", "255"],
+        ),
+    ],
+)
+def test_addresses_that_can_never_work_are_refused(path: str, right: list[str], wrong: list[str]):
+    for value in right:
+        assert OnboardConfig().replace({path: value}).get(path) == value
+    for value in wrong:
+        with pytest.raises(ValueError, match=re.escape(f"{path} is {value!r}; it must be ")):
+            OnboardConfig().replace({path: value})
+
+
+@pytest.mark.parametrize(
     ("changes", "problem"),
     [
         ({"limits.fence_height_min": 40.0}, "limits.fence_height_min is 40.0; it must be less than"),
         ({"limits.fence_x_max": -1e5}, "limits.fence_x_min is"),
-        ({"rates.replan": 5.0}, "limits.plan_age is 0.3; at 5 plans per second it must be at least 0.4 s"),
-        ({"rates.control": 10.0}, "limits.deadline is 0.1; at 10 commands per second it must be at least 0.2 s"),
+        (
+            {"rates.replan": 5.0},
+            "limits.plan_age is 0.3; with a rates.replan of 5 Hz it must be at least 0.4 s",
+        ),
+        (
+            {"rates.control": 10.0},
+            "limits.deadline is 0.1; with a rates.control of 10 Hz it must be at least 0.2 s",
+        ),
         ({"limits.plan_agee": 1.0}, "unknown setting 'limits.plan_agee' (did you mean 'limits.plan_age'?)"),
         ({"rates.plan_age": 1.0}, "did you mean 'limits.plan_age'?"),
     ],
