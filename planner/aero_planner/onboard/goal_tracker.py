@@ -12,20 +12,17 @@ from aero_planner.onboard.settings import LimitSettings
 
 _log = logging.getLogger(__name__)
 
-_GROUND_CHANGE = 0.3  # [m] after which a goal is checked again, so that the noise of measurements ends no flight
-
 
 class GoalTracker:
     """Keeps the newest goal that lies inside the geofence, whose heights count from the ground.
 
-    The goal is checked again when the height of the ground becomes known or changes. If it then lies outside, there is
-    no goal.
+    The goal is checked again when the height of the ground becomes known. If it then lies outside, there is no goal.
+    Later the height may be that of a roof below the drone, which tells nothing about the goal.
 
     Args:
         limits: Settings of the geofence.
         goal: The first goal [m], shape [3], world frame; None if there is none yet. Outside the heights above the local
-            origin it waits until the height of the ground is known. Nobody sends it again, so it may also return
-            after it was refused, when the ground has changed.
+            origin it waits until the height of the ground is known.
 
     Raises:
         ValueError: The goal is not three finite numbers, or lies outside the geofence at any height of the ground.
@@ -42,7 +39,7 @@ class GoalTracker:
         self._first = None if goal is None else np.array(goal, dtype=np.float64)
         self._received: NDArray[np.float64] | None = None
         self._is_accepted = False
-        self._ground: float | None = None  # at the last check
+        self._is_ground_known = False
         if self._first is not None:
             self._check_first(self._first)
 
@@ -59,9 +56,9 @@ class GoalTracker:
         """
         if goal is not None and goal is not self._received:
             self._receive(goal, ground)
-        if ground is not None and (self._ground is None or abs(ground - self._ground) > _GROUND_CHANGE):
-            self._ground = ground
+        if ground is not None and not self._is_ground_known:
             self._check_again(ground)
+        self._is_ground_known = ground is not None
 
     def _check_first(self, goal: NDArray[np.float64]) -> None:
         if goal.shape != (3,) or not np.isfinite(goal).all():
@@ -81,12 +78,12 @@ class GoalTracker:
         self._is_accepted = is_inside_fence(goal, self._limits, ground=ground or 0.0)
         if self._is_accepted:
             self._accept(goal)
-            self.count, self._first, self._ground = self.count + 1, None, ground
+            self.count, self._first = self.count + 1, None
         elif not is_repeated:
             self._log_refusal(goal, ground)
 
     def _check_again(self, ground: float) -> None:
-        """Check the present goal, or the first one if it was refused, with another height of the ground [m]."""
+        """Check the present goal, or the first one if there is none, with the height of the ground [m]."""
         goal = self._first if self.goal is None else self.goal
         if goal is None:
             return
