@@ -25,6 +25,8 @@ from aero_viz.evaluation.score import load_trajectory, score
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel, fly
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.logs import flight_recorder
+from aero_viz.logs.comparison import LoggedFlight
+from aero_viz.logs.log_contents import is_flight_log, read_log
 from aero_viz.recordings import inspect
 from aero_viz.scenes import World, scene
 from aero_viz.sensors import LidarModel
@@ -189,6 +191,10 @@ def test_killed_while_flying_from_the_command_line(tmp_path: Path, capsys: pytes
         except Exception as error:  # the end of a torn file
             assert "EndOfFile" in type(error).__name__ or isinstance(error, EOFError), error
     assert names == {"world.json", "flight.json", "config_0.yaml"}
+    assert is_flight_log(path)
+    contents = read_log(path)
+    assert contents.is_cut and "was cut off" in contents.damage and contents.world() is not None
+    assert len(contents.plans) > 25 and len(LoggedFlight.read(path).columns["time"]) > 25
 
     main(["score", str(path), "--world", "forest", "--count", "20", "--seed", "2", "--json"])
     scored = json.loads(capsys.readouterr().out)
