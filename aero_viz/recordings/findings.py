@@ -37,6 +37,9 @@ _MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
 _CERTAIN = 5.0
 """An estimate is significant if it is at least this many standard deviations from zero."""
 _IMPROVEMENT = 0.9
+_COLUMN, _MIN_COLUMNS, _FLOOR_SHARE, _BELOW = 1.0, 20, 0.75, 0.2
+"""Of the ground: width of a column of points [m], least number of columns that are mostly ground, least share of the
+points in those, and largest share of points below it."""
 
 
 @dataclass(frozen=True)
@@ -311,13 +314,27 @@ def _ground(recording: Recording) -> float | None:
         points = place(sweep, poses)
         here = poses.track.interpolate(sweep.time)[0]
         near = (np.linalg.norm(points[:, :2] - here[:2], axis=1) < 20.0) & (points[:, 2] < here[2] - 0.2)
-        below.append(points[near, 2])
-    heights = np.concatenate(below)
+        below.append(points[near])
+    all_below = np.concatenate(below)
+    heights = all_below[:, 2]
     if len(heights) < 100:
         return None
     counts, edges = np.histogram(heights, np.arange(heights.min(), heights.max() + 0.2, 0.1))
     best = int(np.argmax(counts))
     if counts[best] < 0.1 * len(heights):
         return None
-    inside = heights[(heights >= edges[max(best - 1, 0)]) & (heights <= edges[min(best + 2, len(edges) - 1)])]
-    return float(np.median(inside) + poses.offset[2])
+    inside = (heights >= edges[max(best - 1, 0)]) & (heights <= edges[min(best + 2, len(edges) - 1)])
+    if (heights < edges[max(best - 1, 0)]).mean() > _BELOW or not _is_level(all_below, inside):
+        return None
+    return float(np.median(heights[inside]) + poses.offset[2])
+
+
+def _is_level(points: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
+    """Return True if the points `inside` a band of heights are those of a floor, and not the lower part of walls.
+
+    A wall has points at other heights in the same column.
+    """
+    _, column = np.unique(np.floor(points[:, :2] / _COLUMN), axis=0, return_inverse=True)
+    column = column.ravel()  # NumPy 2.0 keeps an axis
+    is_floor = np.bincount(column, inside) > 0.5 * np.bincount(column)
+    return is_floor.sum() >= _MIN_COLUMNS and is_floor[column[inside]].mean() > _FLOOR_SHARE

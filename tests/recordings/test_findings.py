@@ -102,9 +102,13 @@ def test_a_good_flight_has_no_findings(build: Build):
     assert measured.elevation_deg == pytest.approx((-7.0, 52.0), abs=3.0) and measured.azimuth_deg == 360.0
 
 
-def test_shipped_recordings_have_no_findings():
-    for path, _ in shipped_recordings().values():
-        assert codes(path) == []
+def test_shipped_recordings_have_no_findings_and_only_ground_that_was_seen():
+    grounds = {}
+    for name, (path, _) in shipped_recordings().items():
+        report = inspect(path)
+        assert report.findings == () and report.measured is not None
+        grounds[name] = report.measured.ground_height
+    assert grounds == {"forest_mid360": pytest.approx(0.0, abs=0.1), "room_mid360": None}, "walls are no ground"
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ouster_os1_128_mcap", []), ("hilti_os0_A_mcap", ["twist-zero"])])
