@@ -100,6 +100,8 @@ class Page:
     ) -> None:
         """Ask a visitor in a dialog; run `action` if the answer is `yes` and the visitor has control.
 
+        A visitor who may have control but does not hold it takes it with the answer, as the text of the button says.
+
         Args:
             client: the visitor.
             question: title of the dialog.
@@ -107,20 +109,27 @@ class Page:
             yes, no: texts of the two buttons.
             action: what to do, as for `attempt`.
         """
+        visitors, number = self.server.visitors, client.client_id
+        takes_control = visitors.may_control(number) and not visitors.has_control(number)
+        shown_yes = f"Take control, {yes[0].lower()}{yes[1:]}" if takes_control else yes
         modal = client.gui.add_modal(question)
         with modal:
             client.gui.add_html(detail)
-            answer = client.gui.add_button_group("", (yes, no))
+            answer = client.gui.add_button_group("", (shown_yes, no))
 
             @answer.on_click
             async def _(_: viser.GuiEvent) -> None:
                 modal.close()
-                if answer.value != yes:
+                if answer.value != shown_yes:
                     return
-                if not self.server.visitors.has_control(client.client_id):  # the modal is the visitor's own
-                    notify(self.server, "You are watching; take control first.", level="error", client=client)
-                    return
-                self.attempt(action, client)
+                if takes_control:
+                    visitors.take_control(number)
+                if visitors.has_control(number):  # the modal is the visitor's own
+                    self.attempt(action, client)
+                elif visitors.may_control(number):  # somebody has taken it meanwhile
+                    self.ask(client, question, detail, yes=yes, no=no, action=action)
+                else:
+                    notify(self.server, "This link cannot control the session.", level="error", client=client)
 
 
 class Panel:
