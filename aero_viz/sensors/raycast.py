@@ -202,6 +202,10 @@ def cast_kernel(
     ranges: wp.array2d(dtype=float),  # [B, R]
 ):
     b, i = wp.tid()
+    # Numbers that are not finite would index cells outside the grid.
+    if not (wp.isfinite(origins[b]) and wp.isfinite(directions[b, i])):
+        ranges[b, i] = wp.inf
+        return
     triangle = mesh_range(geometry.meshes[world[b]], origins[b], directions[b, i], range_max)
     ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], triangle, range_max, time)
 
@@ -211,7 +215,8 @@ def cast(
 ) -> wp.array:
     """Return the distance along each ray to the nearest solid [m], float [B, R] on the worlds' device.
 
-    The distance is 0 from inside a solid and inf where nothing is within range_max.
+    The distance is 0 from inside a solid and inf where nothing is within range_max, and for a ray whose origin or
+    direction is not finite.
 
     Args:
         worlds: worlds of the B flights.
