@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_ending, check_output_files
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, LidarName, OptionalFloat, OptionalPath, WorldFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
@@ -58,7 +58,10 @@ def explain(
     from aero_viz.flight import FlightInterrupted, fly
     from aero_viz.logs.log_contents import is_flight_log
 
-    check_output_files(log, overwrite=overwrite, derived=[picture, trajectory])
+    inputs = [flight, config_flags.config]
+    check_output_files(log, overwrite=overwrite, derived=[picture, trajectory], inputs=inputs)
+    check_ending(picture, ".svg", "a picture")
+    check_ending(trajectory, ".csv", "a trajectory")
     if flight.endswith(".mcap") or is_flight_log(flight):
         is_flag_set = world_flags != _WORLD or flight_flags != _FLIGHT or config_flags != _CONFIG or speed is not None
         if is_flag_set or trajectory is not None or log is not None or (lidar, seed) != ("mid360", 0):

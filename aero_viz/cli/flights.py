@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_ending, check_output_files
 from aero_viz.cli.flags import (
     ConfigFlags,
     FileName,
@@ -68,7 +68,8 @@ def fly(
         flight_flags: The flight.
         config_flags: The planner's configuration.
     """
-    check_output_files(log, overwrite=overwrite, derived=[trajectory])
+    check_output_files(log, overwrite=overwrite, derived=[trajectory], inputs=[world, config_flags.config])
+    check_ending(trajectory, ".csv", "a trajectory")
     if not headless:
         if json or trajectory is not None:
             raise UserError("--json and --trajectory apply to headless flights only; leave out --no-headless.")

@@ -98,7 +98,7 @@ def demo(
         config = config_flags.load(speed=speed)
         opener = flight_opener(scene, WorldFlags(), flight_flags, config, lidar=lidar, device=device)
         return serve_tour(opener, config, page_flags, seed=seed, device=device)
-    check_output_files(log, overwrite=overwrite)
+    check_output_files(log, overwrite=overwrite, inputs=[scene, config_flags.config])
     flags = (world_flags, flight_flags, config_flags.load(speed=speed), page_flags)
     serve_flight(scene, *flags, lidar=lidar, seed=seed, device=device, log=log, study=study_flags)
 

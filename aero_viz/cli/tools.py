@@ -103,7 +103,7 @@ def world_export(
     """
     from aero_viz.evaluation.world_export import export_world
 
-    check_output_files(output, overwrite=overwrite)
+    check_output_files(output, overwrite=overwrite, inputs=[world])
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
     print(f"{output}: {points} points" if points else str(output))
 

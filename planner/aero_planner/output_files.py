@@ -8,16 +8,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 
-def check_output_files(*paths: Path | None, overwrite: bool, derived: Sequence[Path | None] = ()) -> None:
+def check_output_files(
+    *paths: Path | None, overwrite: bool, derived: Sequence[Path | None] = (), inputs: Sequence[str | Path] = ()
+) -> None:
     """Check that files can be written before the work that makes them, which may take hours.
 
     Args:
         paths: files that a user has named; None is left out.
         overwrite: replace existing files.
         derived: further files, which are always replaced, since the same command makes them again: pictures, tables.
+        inputs: what the command reads: files, which are never replaced, and other names, which are ignored.
 
     Raises:
-        ValueError: a path is given twice, it is a folder, its folder does not exist, permission to write it is missing,
+        ValueError: a path is given twice, it is an input, it is a folder, its folder does not exist, permission to write it is missing,
             or it is a file of `paths` that is not empty and `overwrite` is False. A device or a pipe holds nothing
             that could be lost.
     """
@@ -28,10 +31,28 @@ def check_output_files(*paths: Path | None, overwrite: bool, derived: Sequence[P
         if path.is_dir():
             raise ValueError(f"{path} is a folder; give the name of a file to write.")
         check_folder(path)
+        if path.is_file() and any(os.path.exists(name) and path.samefile(name) for name in inputs):
+            raise ValueError(f"{path} is read by this command and would be lost; choose another file to write.")
         if path not in derived and path.is_file() and path.stat().st_size > 0 and not overwrite:
             raise ValueError(f"{path} exists already; add --overwrite to replace it, or choose another file.")
         if path.exists() and not os.access(path, os.W_OK):
             raise ValueError(f"{path} cannot be written: permission denied. Choose another file.")
+
+
+def check_ending(path: Path | None, ending: str, content: str) -> None:
+    """Check that the name of a file that is about to be written says what it holds; None, devices and pipes pass.
+
+    Args:
+        path: file that a user has named.
+        ending: ending of the format, such as ".csv".
+        content: what the file will hold, such as "a trajectory".
+
+    Raises:
+        ValueError: the name ends otherwise.
+    """
+    if path is None or (path.exists() and not path.is_file()) or path.suffix.lower() == ending:
+        return
+    raise ValueError(f"{path} is no name for {content}; choose one that ends in {ending}.")
 
 
 def check_folder(path: Path) -> None:

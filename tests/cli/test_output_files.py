@@ -39,10 +39,57 @@ def test_an_existing_file_is_kept(
 def test_a_flight_replaces_a_trajectory_and_an_empty_file(
     capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path, flag: str
 ):
-    path = tmp_path / "out"
+    path = tmp_path / "out.csv"
     path.write_text("t,x" if flag == "--trajectory" else "")
     code, _, error = run(capsys, "fly", short_poles, "--rules.time-limit", "0.1", "--json", flag, str(path))
     assert code == 0 and path.stat().st_size > 100, error
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("fly", "{input}.json", "--trajectory", "{input}.json"),
+        ("fly", "forest", "--config", "{input}.yaml", "--trajectory", "{folder}/../in/{name}.yaml"),
+        ("fly", "{input}.json", "--log", "{input}.json", "--overwrite"),
+        ("demo", "{input}.json", "--log", "{input}.json", "--overwrite"),
+        ("explain", "{input}.mcap", "--picture", "{input}.mcap"),
+        ("explain", "{input}.json", "--trajectory", "{input}.json"),
+        ("world", "export", "{input}.json", "{input}.json", "--overwrite"),
+    ],
+    ids=" ".join,
+)
+def test_an_input_is_never_written_over(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...]
+):
+    folder = tmp_path / "in"
+    folder.mkdir()
+    words = [word.format(input=folder / "old", folder=folder, name="old") for word in arguments]
+    files = {folder / f"old.{ending}" for ending in ("json", "yaml", "mcap")}
+    for path in files:
+        path.write_text("old")
+    error = run_refused(capsys, *words)
+    assert "is read by this command and would be lost; choose another file to write" in error
+    assert error.count("\n") == 1 and all(path.read_text() == "old" for path in files)
+
+
+@pytest.mark.parametrize(
+    ("command", "flag", "name", "ending"),
+    [
+        ("fly", "--trajectory", "flight.mcap", ".csv"),
+        ("explain", "--trajectory", "flight", ".csv"),
+        ("explain", "--picture", "map.png", ".svg"),
+    ],
+)
+def test_the_name_of_a_trajectory_or_picture_has_to_say_its_format(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, flag: str, name: str, ending: str
+):
+    for content in (None, "old"):
+        path = tmp_path / name
+        if content is not None:
+            path.write_text(content)
+        error = run_refused(capsys, command, "forest", flag, str(path))
+        assert f"{path} is no name for a" in error and f"choose one that ends in {ending}" in error
+        assert path.exists() == (content is not None) and (content is None or path.read_text() == content)
 
 
 def test_overwrite_replaces_a_file(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
