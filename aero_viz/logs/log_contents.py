@@ -7,15 +7,20 @@ imported on use: the planner takes a second.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -31,6 +36,8 @@ if TYPE_CHECKING:
     from aero_viz.scenes import World
 
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
+_PLAN_TOPICS = {"/plan", "/plan/best"}
+_MAGIC = b"\x89MCAP0\r\n"
 _TEXT_MAX = 1000
 _COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")
 
@@ -139,15 +146,40 @@ class LogContents:
 
 
 def is_flight_log(path: str | Path) -> bool:
-    """Return True if `path` is an MCAP file with the plans of this planner."""
+    """Return True if `path` is an MCAP file with the plans of this planner. It may be cut off."""
     if not Path(path).is_file():
         return False
     try:
         with open_user_file(path) as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                return False
+            if _is_cut_off(file):
+                return _has_plans(Path(path))
             summary = make_reader(file).get_summary()
     except Exception:  # a damaged summary can fail anywhere in the decoders
         return False
-    return summary is not None and {"/plan", "/plan/best"} <= {channel.topic for channel in summary.channels.values()}
+    return summary is not None and {channel.topic for channel in summary.channels.values()} >= _PLAN_TOPICS
+
+
+def _is_cut_off(file: IO[bytes]) -> bool:
+    """Return True if an MCAP file has no end, where its summary is; the file is at its beginning afterwards."""
+    file.seek(-len(_MAGIC), os.SEEK_END)
+    end = file.read()
+    file.seek(0)
+    return end != _MAGIC
+
+
+def _has_plans(path: Path) -> bool:
+    """Return True if the whole chunks of an MCAP file hold the plans of this planner."""
+    from aero_viz.recordings.mcap_file import McapFile
+
+    missing = set(_PLAN_TOPICS)
+    with contextlib.closing(McapFile(path)) as recording:
+        for message in recording.scan(()):
+            missing.discard(message.channel.topic)
+            if not missing:
+                return True
+    return False
 
 
 def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
@@ -172,17 +204,52 @@ def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
 def _read(path: str) -> LogContents:
     contents = LogContents(path)
     with open_user_file(path) as file:
-        reader = make_reader(file, validate_crcs=True)
-        for entry in reader.iter_attachments():
-            contents.attachments[entry.name], contents.stamps[entry.name] = entry.data, entry.log_time
-        for entry in reader.iter_metadata():
-            if entry.name == "flight_log":
-                contents.outcome = _printable(entry.metadata.get("outcome", ""))
-                contents.explanation = _printable(entry.metadata.get("explanation", ""))
-        for schema, channel, message in reader.iter_messages(topics=_TOPICS):
+        if _is_cut_off(file):
+            messages = _read_whole_records(file, contents)
+        else:
+            reader = make_reader(file, validate_crcs=True)
+            for entry in (*reader.iter_attachments(), *reader.iter_metadata()):
+                _add_entry(contents, entry)
+            messages = reader.iter_messages(topics=_TOPICS)
+        for schema, channel, message in messages:
             content = _typestore().deserialize_cdr(message.data, "" if schema is None else schema.name)
             contents.damaged += not _add(contents, channel.topic, message.log_time, content)
     return contents
+
+
+def _read_whole_records(file: IO[bytes], contents: LogContents) -> list[tuple[Schema | None, Channel, Message]]:
+    """Add the attachments and metadata of a file without its end; return the messages in its whole chunks by time."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    messages: list[tuple[Schema | None, Channel, Message]] = []
+    for record in _records_before_cut(file):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            channel = channels.get(record.channel_id)
+            if channel is not None and channel.topic in _TOPICS:
+                messages.append((schemas.get(channel.schema_id), channel, record))
+        elif isinstance(record, Attachment | Metadata):
+            _add_entry(contents, record)
+    return sorted(messages, key=lambda entry: entry[2].log_time)
+
+
+def _records_before_cut(file: IO[bytes]) -> Iterator[Any]:
+    """Yield the records of a file up to the first one that is incomplete."""
+    records = StreamReader(file, validate_crcs=True, record_size_limit=os.fstat(file.fileno()).st_size).records
+    with contextlib.suppress(Exception):  # the decoders fail in many ways where the file is cut
+        yield from records
+
+
+def _add_entry(contents: LogContents, entry: Attachment | Metadata) -> None:
+    """Add an attachment or the metadata of the log to the contents."""
+    if isinstance(entry, Attachment):
+        contents.attachments[entry.name], contents.stamps[entry.name] = entry.data, entry.log_time
+    elif entry.name == "flight_log":
+        contents.outcome = _printable(entry.metadata.get("outcome", ""))
+        contents.explanation = _printable(entry.metadata.get("explanation", ""))
 
 
 def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:

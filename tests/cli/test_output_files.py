@@ -58,9 +58,7 @@ def test_a_flight_replaces_a_trajectory_and_an_empty_file(
     ],
     ids=" ".join,
 )
-def test_an_input_is_never_written_over(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...]
-):
+def test_an_input_is_never_written_over(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...]):
     folder = tmp_path / "in"
     folder.mkdir()
     words = [word.format(input=folder / "old", folder=folder, name="old") for word in arguments]
