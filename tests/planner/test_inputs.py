@@ -129,6 +129,7 @@ def test_bad_input_changes_nothing(planner: Planner):
         ({"batch": 0}, "batch is 0; it must be None or at least 1"),
         ({"threads": 0}, "threads is 0; it must be None or at least 1"),
         ({"config": "paper"}, "config is 'paper'; it must be a PlannerConfig"),
+        ({"seed": 1.5}, "seed is 1.5; it must be a whole number"),
     ],
 )
 def test_bad_planners(arguments: dict, problem: str):
