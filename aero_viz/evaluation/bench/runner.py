@@ -15,7 +15,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, check_seed, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.sudden_object import SuddenObjects, check_arrival
@@ -25,7 +25,9 @@ from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
+from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World, scene
+from aero_viz.seed_range import check_seed
 from aero_viz.sensors import lidar_model
 
 STAGE_FIELD = "stage_ms."

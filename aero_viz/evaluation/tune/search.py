@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, check_seed, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
@@ -24,6 +24,7 @@ from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World
+from aero_viz.seed_range import check_seed
 
 if TYPE_CHECKING:
     import optuna
