@@ -135,3 +135,11 @@ def test_bad_input_changes_nothing(planner: Planner):
 def test_bad_planners(arguments: dict, problem: str):
     with pytest.raises(ValueError, match=problem):
         Planner(**arguments)
+
+
+def test_another_configuration_has_to_be_one(planner: Planner):
+    before = planner.config
+    for config in ({"costs.q_track": 8.0}, [{}], None):
+        with pytest.raises(ValueError, match="it must be a PlannerConfig"):
+            planner.configure(config)  # type: ignore[arg-type]
+    assert planner.config is before
