@@ -149,6 +149,9 @@ def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequenc
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
         raise UserError("--flights, --check and --batch must be at least 1.")
     check_seed(search.seed)
+    for i, objective in enumerate(search.objectives):
+        if objective in search.objectives[:i]:
+            raise UserError(f"--objective {objective} is given twice; leave one out.")
     if not 1 <= search.rungs <= len(worlds):
         possible = "1" if len(worlds) == 1 else f"1 to {len(worlds)}"
         raise UserError(
