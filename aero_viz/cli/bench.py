@@ -80,7 +80,7 @@ def bench(
 
     Args:
         name: Name of the benchmark.
-        flights: Number of worlds per row.
+        flights: Number of worlds per row. A row of scaling has as many flights as its batch, in these worlds.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
         run_flags: The run.
     """
