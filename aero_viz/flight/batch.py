@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.seeds import seeds_of_batch
+from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
@@ -94,7 +94,7 @@ class FlightBatch:
         *,
         config: PlannerConfig | Sequence[PlannerConfig] | None = None,
         device: str = "cpu",
-        seed: int | Sequence[int] = 0,
+        seed: Seeds = 0,
         lidar: LidarModel | None = None,
         vehicle: VehicleModel | None = None,
         rules: FlightRules | None = None,

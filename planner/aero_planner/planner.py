@@ -29,7 +29,7 @@ from aero_planner.pipeline_records import PipelineArrays
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
-from aero_planner.seeds import seeds_of_batch
+from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
@@ -60,7 +60,7 @@ class Planner:
         config: PlannerConfig | None = None,
         *,
         device: str = "cpu",
-        seed: int | Sequence[int] = 0,
+        seed: Seeds = 0,
         batch: int | None = None,
         threads: int | None = None,
     ) -> None:

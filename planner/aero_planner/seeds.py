@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Sequence
+from typing import SupportsIndex
+
+Seeds = SupportsIndex | Sequence[SupportsIndex]
+"""One seed for a batch, or one for each drone; whole numbers of Python or NumPy."""
 
 
-def seeds_of_batch(seed: int | Sequence[int], count: int) -> list[int]:
-    """Return the seeds of `count` drones: from `seed` on, or the given ones. Whole numbers of NumPy are welcome.
+def seeds_of_batch(seed: Seeds, count: int) -> list[int]:
+    """Return the seeds of `count` drones: from `seed` on, or the given ones.
 
     Raises:
         ValueError: a seed is not a whole number.
