@@ -32,6 +32,19 @@ def test_a_snippet_runs_and_prints_its_results_only(snippet: str, tmp_path: Path
     assert result.stdout.strip() and "Warp" not in result.stdout and "Module" not in result.stdout
 
 
+def test_the_session_flies_as_the_command_does(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    snippet = next(snippet for snippet in SNIPPETS if "Session(" in snippet)
+    beginning = snippet[: snippet.index("session.seek")]
+    code = f"{beginning}print(*frames[-1].observation.actual_state.position)\nsession.close()\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    table = tmp_path / "t.csv"
+    options = ("--rules.time-limit", "1", "--trajectory", str(table))
+    assert run(capsys, "fly", "forest", "--seed", "3", *options)[0] == 0
+    row = table.read_text(encoding="utf-8").splitlines()[1 + 49]
+    place = [float(number) for number in row.split(",")[1:4]]
+    assert list(map(float, done.stdout.split())) == pytest.approx(place, abs=1e-6)
+
+
 def test_every_command_exists_with_its_flags(capsys: pytest.CaptureFixture[str]):
     assert {name for name, _ in USES} >= COMMANDS.keys() - {"score", "world export", "doctor", "bench compare"}
     for name, arguments in USES:

@@ -80,7 +80,7 @@ def bench(
 
     Args:
         name: Name of the benchmark.
-        flights: Number of worlds per row.
+        flights: Number of worlds per row. A row of scaling has as many flights as its batch, in these worlds.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
         run_flags: The run.
     """
@@ -124,7 +124,6 @@ def bench_worlds(
 
 def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Sequence[ExternalResults]) -> None:
     """Fly a benchmark, write its report and print the summary."""
-    from aero_planner.config.file import config_from_name
     from aero_viz.evaluation.bench.causes import cause_rows
     from aero_viz.evaluation.bench.difficulty_groups import format_groups
     from aero_viz.evaluation.bench.report import (
@@ -139,7 +138,6 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
     from aero_viz.evaluation.executor import open_executor
 
     folder, config = flags.output or Path("results") / benchmark.name, flags.config.load()
-    is_changed = config != config_from_name(flags.config.config)
     executor = open_executor(flags.ray, device=flags.device)
     try:
         with progress_bar() as update_bar:
@@ -149,7 +147,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
                 flights=flights,
                 seed=flags.seed,
                 config=config,
-                config_name=f"{flags.config.config}, changed" if is_changed else flags.config.config,
+                config_name=flags.config.name_of(config),
                 device=flags.device,
                 lidar=flags.lidar,
                 batch=flags.batch,

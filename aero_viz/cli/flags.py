@@ -156,6 +156,10 @@ class ConfigFlags:
         except (ValueError, OSError) as error:
             raise UserError(str(error)) from error
 
+    def name_of(self, config: PlannerConfig) -> str:
+        """Return the name of a configuration that the flags describe: that of --config, and whether it was changed."""
+        return self.config if config == config_from_name(self.config) else f"{self.config}, changed"
+
 
 @dataclasses.dataclass(frozen=True)
 class FlightFlags:

@@ -85,7 +85,7 @@ def fly(
     config = config_flags.load()
     options: dict[str, Any] = {
         "config": config,
-        "config_name": config_flags.config,
+        "config_name": config_flags.name_of(config_flags.load(speed=speed)),
         "seed": seed,
         "device": device,
         "speed": speed,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from aero_planner.config.parameter import did_you_mean
 from aero_viz.errors import UserError
+from aero_viz.seed_range import check_seed
 
 if TYPE_CHECKING:
     from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -43,7 +44,7 @@ def parse(
         description: description of the program for --help.
 
     Raises:
-        UserError: no command or an unknown command was requested.
+        UserError: no command or an unknown command was requested, or the seed is out of range.
         SystemExit: code 0 after help has been printed, 2 after tyro has reported a mistake on stderr.
     """
     for words in (2, 1):  # "bench compare" before "bench"
@@ -74,6 +75,8 @@ def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]
 
     @functools.wraps(function)
     def bind(*args: Any, **kwargs: Any) -> Callable[[], None]:
+        if "seed" in kwargs:
+            check_seed(kwargs["seed"])
         return functools.partial(function, *args, **kwargs)
 
     return bind

@@ -44,12 +44,6 @@ def batch_status(label: str, finished: int, flights: int, seconds: float) -> str
     return f"{label}: {seconds:.1f} s, {finished} of {flights} finished"
 
 
-def check_seed(seed: int) -> None:
-    """Raise a UserError unless a seed is in the range of all random generators of a run, that of Optuna included."""
-    if not 0 <= seed < 2**32:
-        raise UserError(f"--seed is {seed}; it must be in [0, 2^32 - 1].")
-
-
 def default_batch(device: str) -> int:
     """Return the default number of simultaneous flights: 256 on a GPU, 1 on a CPU, where batches are not faster.
 

@@ -86,12 +86,10 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     offset = places - eyes
     distance = np.linalg.norm(offset, axis=1)
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
-    # A place at the sensor itself, as when the drone starts inside an obstacle, lies in no direction and is not hidden.
-    direction = np.where(distance[:, None] > 1e-6, offset, (1.0, 0.0, 0.0)) / np.maximum(distance, 1e-6)[:, None]
-    elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-6), -1.0, 1.0)))
+    elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
     reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
     worlds = [frame.world for frame in frames]
-    hidden = _occluders(worlds, eyes, direction, distance)
+    hidden = _occluders(worlds, eyes, offset, distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:
@@ -117,11 +115,16 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     return reason, f"{detail}, in {count} of the last {total} ticks"
 
 
-def _occluders(worlds: list[World | None], eyes: Array, directions: Array, distance: Array) -> list[str]:
-    """Return the name of the obstacle that hides a place from each eye, each in its world; empty if none does."""
+def _occluders(worlds: list[World | None], eyes: Array, offset: Array, distance: Array) -> list[str]:
+    """Return the name of the obstacle that hides a place from each eye, each in its world; empty if none does.
+
+    `offset` leads from the eye to the place, `distance` is its length [m].
+    """
     known = [world for world in worlds if world is not None]
     if len(known) < len(worlds):
         return [""] * len(eyes)
+    # An eye at the place itself has no direction to it; nothing hides the place from there.
+    directions = offset / np.maximum(distance, 1e-9)[:, None]
     packed = DeviceWorlds(known)
     with wp.ScopedDevice("cpu"):
         origins, rays = wp.array(eyes, dtype=wp.vec3), wp.array(directions[:, None], dtype=wp.vec3)

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
@@ -93,7 +94,7 @@ class FlightBatch:
         *,
         config: PlannerConfig | Sequence[PlannerConfig] | None = None,
         device: str = "cpu",
-        seed: int | Sequence[int] = 0,
+        seed: Seeds = 0,
         lidar: LidarModel | None = None,
         vehicle: VehicleModel | None = None,
         rules: FlightRules | None = None,
@@ -107,7 +108,7 @@ class FlightBatch:
         configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
         names = {id(c): config_name_of(c) for c in configs} if config_names is None else {}
         self._config_names = [names[id(c)] for c in configs] if config_names is None else list(config_names)
-        self._seeds = [seed + b for b in range(len(worlds))] if isinstance(seed, int) else list(seed)
+        self._seeds = seeds_of_batch(seed, len(worlds))
         per_flight = {"configurations": configs, "names of configurations": self._config_names, "seeds": self._seeds}
         for noun, values in per_flight.items():
             if len(values) != len(worlds):

@@ -28,8 +28,10 @@ class RuleParameters:
     radius: float
     arrival_radius: float
     stall_distance: float
-    stall_time: float
-    time_limit: float
+    stall_ticks: int
+    """stall_time in ticks. Numbers of ticks are exact: in float32, 15 ticks of 0.02 s are less than 0.3 s."""
+    limit_ticks: int
+    """time_limit in ticks."""
 
 
 @wp.struct
@@ -58,8 +60,8 @@ class FlightRecord:
     """Velocity at the last tick [m/s]."""
     progress_position: wp.vec3
     """Position at which progress was last made [m], world frame."""
-    progress_time: float
-    """Time at which progress was last made [s]."""
+    progress_tick: int
+    """Number of ticks until progress was last made."""
     goal_tick: int
     """Number of ticks until the goal was set."""
 
@@ -98,14 +100,13 @@ def update_record(
     # Progress is motion, not motion toward the goal: the way out of a dead end leads away from it.
     if wp.length(position - r.progress_position) >= rules.stall_distance:
         r.progress_position = position
-        r.progress_time = float(tick) * rules.period
+        r.progress_tick = tick
     return r
 
 
 @wp.func
 def flight_outcome(rules: RuleParameters, lower: wp.vec3, upper: wp.vec3, position: wp.vec3, record: FlightRecord):
     """Return the outcome after the last tick of the record; lower, upper: bounds of the world [m]."""
-    elapsed = float(record.ticks) * rules.period
     inside = True
     for i in range(3):
         inside = inside and position[i] >= lower[i] and position[i] <= upper[i]
@@ -116,9 +117,9 @@ def flight_outcome(rules: RuleParameters, lower: wp.vec3, upper: wp.vec3, positi
         outcome = ARRIVED
     elif not inside:
         outcome = OUT_OF_BOUNDS
-    elif elapsed - record.progress_time >= rules.stall_time:
+    elif record.ticks - record.progress_tick >= rules.stall_ticks:
         outcome = STALL
-    elif float(record.ticks - record.goal_tick) * rules.period >= rules.time_limit:
+    elif record.ticks - record.goal_tick >= rules.limit_ticks:
         outcome = TIMEOUT
     return outcome
 

@@ -25,6 +25,10 @@ _UNITS = {
 }  # fmt: skip
 """Units of the fields of a result whose names do not say them."""
 
+_TICKS_MAX = 2**31 - 1
+_TICK_ROUNDING = 1e-6
+"""A time that is longer than a whole number of ticks by less than this share of one is that number."""
+
 
 @dataclass(frozen=True)
 class FlightResult:
@@ -141,8 +145,12 @@ def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> 
 def pack_rules(rules: FlightRules) -> Any:
     """Return the `RuleParameters` of rules."""
     parameters: Any = RuleParameters()
-    for name in ("period", "radius", "arrival_radius", "stall_distance", "stall_time", "time_limit"):
+    for name in ("period", "radius", "arrival_radius", "stall_distance"):
         setattr(parameters, name, getattr(rules, name))
+    parameters.stall_ticks, parameters.limit_ticks = (
+        min(math.ceil(seconds / rules.period - _TICK_ROUNDING), _TICKS_MAX)
+        for seconds in (rules.stall_time, rules.time_limit)
+    )
     return parameters
 
 

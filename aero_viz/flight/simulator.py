@@ -207,7 +207,7 @@ class Simulator:
         for name, value in changes.items():
             records[name] = value
         records["progress_position"] = self.vehicle.position.numpy()
-        records["progress_time"] = self.time
+        records["progress_tick"] = self.tick
         records["goal_tick"] = self.tick
         outcome[np.isin(outcome, list(ended))] = FLYING
         self.record.assign(wp.array(records, dtype=FlightRecord, device="cpu"))

@@ -96,10 +96,12 @@ def fly(
         UserError: an option is out of range, no flight can arrive, the device does not exist, or a file cannot be
             written.
     """
+    if not isinstance(world, World):
+        raise UserError(f"world is {world!r}; it must be a World, such as aero_viz.scenes.scene('forest', seed=0).")
     config, rules = config or PlannerConfig(), rules or FlightRules()
-    name = config_name or config_name_of(config)
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
+        name = config_name or config_name_of(config)
         refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
         source = FlightSource(
             world,

@@ -10,17 +10,17 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
-from mcap.summary import Summary
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -35,8 +35,9 @@ if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
     from aero_viz.scenes import World
 
-_PLAN_TOPICS = {"/plan", "/plan/best"}
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
+_PLAN_TOPICS = {"/plan", "/plan/best"}
+_MAGIC = b"\x89MCAP0\r\n"
 _TEXT_MAX = 1000
 _COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")
 
@@ -80,15 +81,12 @@ class LogContents:
     plans: list[LoggedPlan] = field(default_factory=list)
     damaged: int = 0
     """Number of goals, plans and poses that were left out because their numbers are impossible."""
-    is_cut: bool = False
-    """True if the log was cut off, as when the program was killed: it is read up to its last whole chunk."""
 
     @property
     def damage(self) -> str:
-        """Sentences on what was left out, empty if nothing was."""
-        cut = "The log was cut off: the last moments of the flight are missing." if self.is_cut else ""
+        """Sentence on what was left out, empty if nothing was."""
         found = f"{self.damaged} goals, plans and poses of the log have impossible numbers: left out."
-        return " ".join(filter(None, (cut, found if self.damaged else "")))
+        return found if self.damaged else ""
 
     def world(self, name: str = "world.json") -> World | None:
         """Return the world of the flight, or another one that is attached by name; None if it is not in the log.
@@ -148,44 +146,39 @@ class LogContents:
 
 
 def is_flight_log(path: str | Path) -> bool:
-    """Return True if `path` is an MCAP file with the plans of this planner; it may be cut off."""
-    from aero_viz.recordings.mcap_file import MCAP_MAGIC
-
-    path = Path(path)
-    if not path.is_file():
+    """Return True if `path` is an MCAP file with the plans of this planner. It may be cut off."""
+    if not Path(path).is_file():
         return False
-    with open_user_file(path) as file:
-        if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-            return False
-        summary = _summary(file)
-    if summary is not None:
-        return {channel.topic for channel in summary.channels.values()} >= _PLAN_TOPICS
     try:
-        return ReaderProcess(Limits.for_file(path.stat().st_size))(_has_plans, str(path))
-    except (UserError, OSError):
-        return False
-
-
-def _summary(file: IO[bytes]) -> Summary | None:
-    """Return the summary at the end of a file, None if there is none or it is damaged; the file is rewound."""
-    file.seek(0)
-    try:
-        return make_reader(file).get_summary()
+        with open_user_file(path) as file:
+            if file.read(len(_MAGIC)) != _MAGIC:
+                return False
+            if _is_cut_off(file):
+                return _has_plans(Path(path))
+            summary = make_reader(file).get_summary()
     except Exception:  # a damaged summary can fail anywhere in the decoders
-        return None
-    finally:
-        file.seek(0)
+        return False
+    return summary is not None and {channel.topic for channel in summary.channels.values()} >= _PLAN_TOPICS
 
 
-def _has_plans(path: str) -> bool:
-    """Return True if a file that was cut off has the topics of plans."""
-    topics: set[str] = set()
-    with open_user_file(path) as file, contextlib.suppress(EndOfFile):
-        for record in StreamReader(file).records:
-            if isinstance(record, Channel):
-                topics.add(record.topic)
-                if topics >= _PLAN_TOPICS:
-                    return True
+def _is_cut_off(file: IO[bytes]) -> bool:
+    """Return True if an MCAP file has no end, where its summary is; the file is at its beginning afterwards."""
+    file.seek(-len(_MAGIC), os.SEEK_END)
+    end = file.read()
+    file.seek(0)
+    return end != _MAGIC
+
+
+def _has_plans(path: Path) -> bool:
+    """Return True if the whole chunks of an MCAP file hold the plans of this planner."""
+    from aero_viz.recordings.mcap_file import McapFile
+
+    missing = set(_PLAN_TOPICS)
+    with contextlib.closing(McapFile(path)) as recording:
+        for message in recording.scan(()):
+            missing.discard(message.channel.topic)
+            if not missing:
+                return True
     return False
 
 
@@ -211,44 +204,50 @@ def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
 def _read(path: str) -> LogContents:
     contents = LogContents(path)
     with open_user_file(path) as file:
-        if _summary(file) is None:
-            return _read_cut(file, contents)
-        reader = make_reader(file, validate_crcs=True)
-        for entry in reader.iter_attachments():
-            contents.attachments[entry.name], contents.stamps[entry.name] = entry.data, entry.log_time
-        for entry in reader.iter_metadata():
-            _add_outcome(contents, entry)
-        for schema, channel, message in reader.iter_messages(topics=_TOPICS):
+        if _is_cut_off(file):
+            messages = _read_whole_records(file, contents)
+        else:
+            reader = make_reader(file, validate_crcs=True)
+            for entry in (*reader.iter_attachments(), *reader.iter_metadata()):
+                _add_entry(contents, entry)
+            messages = reader.iter_messages(topics=_TOPICS)
+        for schema, channel, message in messages:
             content = _typestore().deserialize_cdr(message.data, "" if schema is None else schema.name)
             contents.damaged += not _add(contents, channel.topic, message.log_time, content)
     return contents
 
 
-def _read_cut(file: IO[bytes], contents: LogContents) -> LogContents:
-    """Read a log without a summary, up to its last whole chunk."""
-    contents.is_cut = True
+def _read_whole_records(file: IO[bytes], contents: LogContents) -> list[tuple[Schema | None, Channel, Message]]:
+    """Add the attachments and metadata of a file without its end; return the messages in its whole chunks by time."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
-    with contextlib.suppress(EndOfFile):
-        for record in StreamReader(file, validate_crcs=True).records:
-            match record:
-                case Attachment():
-                    contents.attachments[record.name], contents.stamps[record.name] = record.data, record.log_time
-                case Metadata():
-                    _add_outcome(contents, record)
-                case Schema():
-                    schemas[record.id] = record
-                case Channel():
-                    channels[record.id] = record
-                case Message() if channels[record.channel_id].topic in _TOPICS:
-                    channel = channels[record.channel_id]
-                    content = _typestore().deserialize_cdr(record.data, schemas[channel.schema_id].name)
-                    contents.damaged += not _add(contents, channel.topic, record.log_time, content)
-    return contents
+    messages: list[tuple[Schema | None, Channel, Message]] = []
+    for record in _records_before_cut(file):
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = record
+        elif isinstance(record, Message):
+            channel = channels.get(record.channel_id)
+            if channel is not None and channel.topic in _TOPICS:
+                messages.append((schemas.get(channel.schema_id), channel, record))
+        elif isinstance(record, Attachment | Metadata):
+            _add_entry(contents, record)
+    return sorted(messages, key=lambda entry: entry[2].log_time)
 
 
-def _add_outcome(contents: LogContents, entry: Metadata) -> None:
-    if entry.name == "flight_log":
+def _records_before_cut(file: IO[bytes]) -> Iterator[Any]:
+    """Yield the records of a file up to the first one that is incomplete."""
+    records = StreamReader(file, validate_crcs=True, record_size_limit=os.fstat(file.fileno()).st_size).records
+    with contextlib.suppress(Exception):  # the decoders fail in many ways where the file is cut
+        yield from records
+
+
+def _add_entry(contents: LogContents, entry: Attachment | Metadata) -> None:
+    """Add an attachment or the metadata of the log to the contents."""
+    if isinstance(entry, Attachment):
+        contents.attachments[entry.name], contents.stamps[entry.name] = entry.data, entry.log_time
+    elif entry.name == "flight_log":
         contents.outcome = _printable(entry.metadata.get("outcome", ""))
         contents.explanation = _printable(entry.metadata.get("explanation", ""))
 

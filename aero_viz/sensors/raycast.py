@@ -202,12 +202,12 @@ def cast_kernel(
     ranges: wp.array2d(dtype=float),  # [B, R]
 ):
     b, i = wp.tid()
-    o, d = origins[b], directions[b, i]
-    ranges[b, i] = wp.inf
-    # A query of triangles along a ray that is not finite reads outside of its arrays.
-    if wp.isfinite(wp.length(o)) and wp.isfinite(wp.length(d)):
-        triangle = mesh_range(geometry.meshes[world[b]], o, d, range_max)
-        ranges[b, i] = ray_range(geometry, world[b], o, d, triangle, range_max, time)
+    # Numbers that are not finite would index cells outside the grid.
+    if not (wp.isfinite(origins[b]) and wp.isfinite(directions[b, i])):
+        ranges[b, i] = wp.inf
+        return
+    triangle = mesh_range(geometry.meshes[world[b]], origins[b], directions[b, i], range_max)
+    ranges[b, i] = ray_range(geometry, world[b], origins[b], directions[b, i], triangle, range_max, time)
 
 
 def cast(
@@ -215,7 +215,8 @@ def cast(
 ) -> wp.array:
     """Return the distance along each ray to the nearest solid [m], float [B, R] on the worlds' device.
 
-    The distance is 0 from inside a solid, and inf where nothing is within range_max or the ray is not finite.
+    The distance is 0 from inside a solid and inf where nothing is within range_max, and for a ray whose origin or
+    direction is not finite.
 
     Args:
         worlds: worlds of the B flights.

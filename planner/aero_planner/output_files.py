@@ -20,9 +20,9 @@ def check_output_files(
         inputs: what the command reads: files, which are never replaced, and other names, which are ignored.
 
     Raises:
-        ValueError: a path is given twice, it is an input, it is a folder, its folder does not exist, permission to write it is missing,
-            or it is a file of `paths` that is not empty and `overwrite` is False. A device or a pipe holds nothing
-            that could be lost.
+        ValueError: a path is given twice, it is an input, it is a folder, its folder does not exist, permission to
+            write it is missing, or it is a file of `paths` that is not empty and `overwrite` is False. A device or a
+            pipe holds nothing that could be lost.
     """
     named = [path for path in (*paths, *derived) if path is not None]
     for i, path in enumerate(named):

@@ -7,6 +7,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -28,6 +29,7 @@ from aero_planner.pipeline_records import PipelineArrays
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
+from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
 from aero_planner.warp_init import find_device
@@ -50,7 +52,7 @@ class Planner:
 
     Raises:
         ValueError: the device does not exist, config is not a PlannerConfig, batch or threads is less than 1, or the
-            number of seeds is not that of drones.
+            number of seeds is not that of drones, or one is not a whole number.
     """
 
     def __init__(
@@ -58,19 +60,17 @@ class Planner:
         config: PlannerConfig | None = None,
         *,
         device: str = "cpu",
-        seed: int | Sequence[int] = 0,
+        seed: Seeds = 0,
         batch: int | None = None,
         threads: int | None = None,
     ) -> None:
         if batch is not None and batch < 1:
             raise ValueError(f"batch is {batch}; it must be None or at least 1.")
-        seeds = [seed + b for b in range(batch or 1)] if isinstance(seed, int) else [int(number) for number in seed]
+        seeds = seeds_of_batch(seed, batch or 1)
         if len(seeds) != (batch or 1):
             raise ValueError(f"{len(seeds)} seeds were given for {batch or 1} drones; give one for each or an integer.")
-        if config is not None and not isinstance(config, PlannerConfig):
-            raise ValueError(
-                f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
-            )
+        if config is not None:
+            _check_configs([config])
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._device = find_device(device)
@@ -193,10 +193,12 @@ class Planner:
         the previous plan. A sequence of B configurations of equal structure gives each drone its own.
 
         Raises:
-            ValueError: a sequence has the wrong length, or its configurations differ in structure.
+            ValueError: config is not a PlannerConfig, or a sequence has the wrong length or configurations that differ
+                in structure.
             MemoryError, RuntimeError: the device has no room for the new structure; the present one stays.
         """
-        configs = [config] if isinstance(config, PlannerConfig) else list(config)
+        configs = list(config) if isinstance(config, Sequence) else [config]
+        _check_configs(configs)
         if not isinstance(config, PlannerConfig) and len(configs) != self._batch:
             raise ValueError(
                 f"{len(configs)} configurations were given for a batch of {self._batch}; give one for each."
@@ -259,7 +261,7 @@ class Planner:
     def reset(self, *, seed: int | None = None) -> None:
         """Discard the previous plan and restart the noise sequence, with another `seed` if one is given."""
         if seed is not None:
-            self._seeds = [seed + b for b in range(len(self._seeds))]
+            self._seeds = seeds_of_batch(seed, len(self._seeds))
             self._assign_seeds()
         forget_history(self._work)
 
@@ -408,3 +410,12 @@ def _noise_table(steps: int, sequences: int, device: str) -> wp.array:
     wp.launch(fill_noise, (steps, sequences), outputs=[noise], device=device)
     wp.synchronize_device(device)  # another planner may have a stream of its own
     return noise
+
+
+def _check_configs(configs: Sequence[Any]) -> None:
+    """Raise a ValueError unless all configurations are such."""
+    for config in configs:
+        if not isinstance(config, PlannerConfig):
+            raise ValueError(
+                f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
+            )

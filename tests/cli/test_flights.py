@@ -59,6 +59,20 @@ def test_fly_reads_presets_and_files(capsys: pytest.CaptureFixture[str], short_p
     assert result["config"] == str(path)
 
 
+@pytest.mark.parametrize(
+    ("flags", "name"),
+    [
+        (("--config", "paper", "--costs.q-track", "8"), "paper, changed"),
+        (("--speed", "3"), "default, changed"),
+        (("--speed", "7"), "default"),
+    ],
+)
+def test_the_result_says_that_flags_changed_the_preset(
+    capsys: pytest.CaptureFixture[str], short_poles: str, flags: tuple[str, ...], name: str
+):
+    assert run_json(capsys, "fly", short_poles, "--rules.time-limit", "0.02", *flags)["config"] == name
+
+
 def test_a_collision_is_a_result_not_an_error(capsys: pytest.CaptureFixture[str], tmp_path: Path):
     path = tmp_path / "inside.json"
     path.write_text(json.dumps({"name": "inside", "start": [0, 0, 2], "goal": [9, 0, 2], "spheres": [[0, 0, 2, 1.0]]}))

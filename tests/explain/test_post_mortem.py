@@ -243,3 +243,15 @@ def test_an_obstacle_that_was_added_during_the_flight_is_named():
     report, _ = explain_flight(trace)
     assert report.outcome == "collision" and report.obstacle == "box 2"
     assert trace.last.world is not trace.last.source.world
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "solid",
+    [{"cylinders": [[0, 0, 0, 0, 0, 1, 0.5, 5]]}, {"spheres": [[0, 0, 2, 1]]}, {"boxes": [[0, 0, 2, 1, 1, 1, 0]]}],
+    ids=["cylinder", "sphere", "box"],
+)
+def test_a_start_in_the_centre_of_an_obstacle_is_explained(solid: dict[str, Any]):
+    world = World.from_dict({"name": "buried", "start": [0, 0, 2], "goal": [20, 0, 2], **solid})
+    _, _, report, _ = flown(world)
+    assert report.outcome == "collision" and report.obstacle in str(report.format_table())

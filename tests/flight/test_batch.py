@@ -314,3 +314,16 @@ def test_a_flight_of_a_batch_flies_on_in_another_world(sparse, device):
     assert (first.reason, second.reason) == ("collision", "timeout") and first.flight_time_s == pytest.approx(0.22)
     alone = FlightBatch([sparse], config=CONFIG, lidar=LIDAR, rules=SHORT, seed=[4], device=device).run()[0]
     assert second.length_m == alone.length_m
+
+
+def test_seeds_may_be_numbers_of_numpy(sparse: World):
+    results = FlightBatch(
+        [sparse] * 2, config=CONFIG, lidar=LIDAR, rules=FlightRules(time_limit=0.02), seed=np.int64(2)
+    ).run()
+    assert [result.seed for result in results] == [2, 3]
+    assert json.dumps(dataclasses.asdict(results[0]))
+
+
+def test_a_flight_needs_a_world_not_its_name():
+    with pytest.raises(UserError, match="world is 'forest'; it must be a World"):
+        fly("forest")  # pyright: ignore[reportArgumentType]

@@ -1,5 +1,7 @@
 """Outcomes and metrics of scripted flights with known answers."""
 
+import math
+
 import numpy as np
 import pytest
 import warp as wp
@@ -157,7 +159,7 @@ def test_moving_the_goal_resumes_an_arrived_flight():
     assert simulator.outcomes() == ["arrived"]
     simulator.set_goal([[0.0, 30.0, 2.0]])
     assert simulator.outcomes() == [None]
-    assert simulator.records()[0]["progress_time"] == pytest.approx(simulator.time)
+    assert simulator.records()[0]["progress_tick"] == simulator.tick
 
 
 def test_the_time_limit_runs_from_the_goal_that_was_set_last():
@@ -241,3 +243,12 @@ def test_an_obstacle_runs_into_a_hovering_drone():
     fly(simulator, HOVER, 120)
     assert simulator.outcomes() == ["collision", None]
     assert simulator.records()["ticks"].tolist() == [75 + 1, 120]  # 1.5 m at 1 m/s; contact is closer than the radius
+
+
+@pytest.mark.parametrize("limit", [0.1, 0.2, 0.3, 0.31, 1.4])
+@pytest.mark.parametrize("rule", ["time_limit", "stall_time"])
+def test_a_time_limit_ends_a_flight_at_its_tick(rule: str, limit: float):
+    simulator = simulate(world(), **{rule: limit})
+    fly(simulator, HOVER, 80)
+    assert simulator.outcomes() == ["timeout" if rule == "time_limit" else "stall"]
+    assert simulator.records()[0]["ticks"] == math.ceil(round(limit / 0.02, 6))

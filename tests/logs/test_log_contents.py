@@ -18,8 +18,10 @@ from small_source import small_config, small_source
 from aero_viz.catalog import open_source
 from aero_viz.cli import main
 from aero_viz.errors import UserError
+from aero_viz.explain.trace import trace_of_log
 from aero_viz.logs import flight_recorder
 from aero_viz.logs.comparison import LoggedFlight, compare_logs
+from aero_viz.logs.log_contents import read_log
 from aero_viz.logs.replay import FlightReplay
 from aero_viz.session import Session
 
@@ -99,6 +101,37 @@ def test_a_log_with_a_damaged_attachment_plays_without_it_and_says_so(whole, tmp
     with pytest.raises(UserError, match=complaint) as raised:
         compare_logs(path, path)
     assert str(raised.value) in notices
+
+
+@pytest.fixture(scope="module")
+def cut(whole: Path) -> Path:
+    """The log as kill -9 leaves it: all chunks, and the beginning of the next record."""
+    path = whole.with_name("cut.mcap")
+    with whole.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        last = max(summary.chunk_indexes, key=lambda chunk: chunk.chunk_start_offset)
+    path.write_bytes(whole.read_bytes()[: last.chunk_start_offset + last.chunk_length + 12])
+    return path
+
+
+def test_a_log_that_was_cut_off_holds_all_that_was_written(whole: Path, cut: Path):
+    a, b = read_log(whole), read_log(cut)
+    assert len(b.plans) == len(a.plans) == 8 and b.attachments == a.attachments and b.pose_stamps == a.pose_stamps
+    assert replay(cut).info.recorded_plan is not None
+    assert compare_logs(whole, cut).differs_at is None
+
+
+def test_a_log_that_was_cut_off_is_explained(cut: Path):
+    trace = trace_of_log(cut)
+    assert len(trace.frames) == 8 and any("it was cut off" in sentence for sentence in trace.missing)
+
+
+def test_a_log_that_was_cut_before_its_first_plan_is_no_flight_log(cut: Path, tmp_path: Path):
+    path = tmp_path / "early.mcap"
+    path.write_bytes(cut.read_bytes()[:300])
+    with pytest.raises(UserError, match="is not a flight log"):
+        compare_logs(path, path)
 
 
 def test_plans_with_impossible_numbers_are_left_out_and_counted(whole, tmp_path):

@@ -129,8 +129,17 @@ def test_bad_input_changes_nothing(planner: Planner):
         ({"batch": 0}, "batch is 0; it must be None or at least 1"),
         ({"threads": 0}, "threads is 0; it must be None or at least 1"),
         ({"config": "paper"}, "config is 'paper'; it must be a PlannerConfig"),
+        ({"seed": 1.5}, "seed is 1.5; it must be a whole number"),
     ],
 )
 def test_bad_planners(arguments: dict, problem: str):
     with pytest.raises(ValueError, match=problem):
         Planner(**arguments)
+
+
+def test_another_configuration_has_to_be_one(planner: Planner):
+    before = planner.config
+    for config in ({"costs.q_track": 8.0}, [{}], None):
+        with pytest.raises(ValueError, match="it must be a PlannerConfig"):
+            planner.configure(config)  # type: ignore[arg-type]
+    assert planner.config is before

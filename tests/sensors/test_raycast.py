@@ -197,6 +197,15 @@ def test_every_flight_sees_its_own_world():
     np.testing.assert_allclose(cast(worlds, origins, directions).numpy()[:, 0], [4.0, 8.0, np.inf, 4.0])
 
 
+def test_rays_that_are_not_finite_hit_nothing():
+    worlds = DeviceWorlds([scene("forest", seed=1, count=40)])
+    rays = [[np.nan, np.nan, np.nan], [np.inf, 0.0, 0.0], [0.0, -np.inf, 0.0], [0.0, 0.0, 0.0]]
+    found = cast(worlds, wp.zeros(1, dtype=wp.vec3), wp.array([rays], dtype=wp.vec3)).numpy()
+    assert np.isinf(found[:, :3]).all()
+    lost = wp.array([[np.nan, 0.0, 0.0]], dtype=wp.vec3)
+    assert np.isinf(cast(worlds, lost, wp.array([[[1.0, 0.0, 0.0]]], dtype=wp.vec3)).numpy()).all()
+
+
 @wp.kernel
 def distance_kernel(
     geometry: Geometry,  # pyright: ignore[reportGeneralTypeIssues]

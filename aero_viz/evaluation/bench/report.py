@@ -272,7 +272,8 @@ def _config(header: dict[str, Any]) -> str:
 def _subtitle(run: Run) -> str:
     header = run.header
     lidar = header["lidar"] or " and ".join(dict.fromkeys(row.lidar for row in run.benchmark.rows))
-    return f"configuration {header['config_name']}, LiDAR {lidar}, {header['flights']} flights per row"
+    noun = "worlds" if any(row.batch for row in run.benchmark.rows) else "flights"
+    return f"configuration {header['config_name']}, LiDAR {lidar}, {header['flights']} {noun} per row"
 
 
 def _flat(summary: Summary) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, check_seed, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.sudden_object import SuddenObjects, check_arrival
@@ -25,7 +25,9 @@ from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
+from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World, scene
+from aero_viz.seed_range import check_seed
 from aero_viz.sensors import lidar_model
 
 STAGE_FIELD = "stage_ms."
@@ -165,6 +167,7 @@ def run_benchmark(
     planned = list(
         _plan_flights(benchmark, base, flights=flights, seed=first_seed, lidar=lidar, rules=rules, drone=drone or {})
     )  # before a folder is created, because a row may not fit the configuration
+    _refuse_impossible_worlds(planned)
     names = dict.fromkeys(lidar or row.lidar for row in benchmark.rows)
     models = {name: dataclasses.replace(lidar_model(name), **(sensor or {})) for name in names}
     folder = Path(output)
@@ -349,6 +352,17 @@ def _plan_flights(
                     check_arrival(row.label, row.sudden, world, row_rules)
                 yield _PlannedFlight(row, index, next_seed, world_seed, config, vehicle, row_rules, group, world)
                 next_seed += 1
+
+
+def _refuse_impossible_worlds(planned: Sequence[_PlannedFlight]) -> None:
+    """Raise a UserError if no planner can arrive in the world of a file, which would count as its failure."""
+    for flight in planned:
+        if flight.world is None or flight.index > 0:
+            continue
+        try:
+            refuse_impossible(flight.world, rules=flight.rules, speed_limit=flight.config.vehicle.speed_limit)
+        except UserError as error:
+            raise UserError(f"Cannot fly {flight.row.label!r}: {error}") from error
 
 
 def _split_into_batches(pending: Iterable[_PlannedFlight], size: int) -> Iterator[list[_PlannedFlight]]:

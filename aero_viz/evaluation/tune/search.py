@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, check_seed, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
@@ -24,6 +24,7 @@ from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.scenes import World
+from aero_viz.seed_range import check_seed
 
 if TYPE_CHECKING:
     import optuna
@@ -148,6 +149,9 @@ def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequenc
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
         raise UserError("--flights, --check and --batch must be at least 1.")
     check_seed(search.seed)
+    for i, objective in enumerate(search.objectives):
+        if objective in search.objectives[:i]:
+            raise UserError(f"--objective {objective} is given twice; leave one out.")
     if not 1 <= search.rungs <= len(worlds):
         possible = "1" if len(worlds) == 1 else f"1 to {len(worlds)}"
         raise UserError(

@@ -49,9 +49,11 @@ def open_study(
         name: name of the study; None derives one from the definition.
 
     Raises:
-        UserError: the storage cannot be opened, or it holds a study of this name with another definition.
+        UserError: the sampler has one objective only, the storage cannot be opened, or it holds a study of this name
+            with another definition.
     """
     optuna = require_optuna()
+    made_sampler = _make_sampler(sampler, generation=generation, seed=seed, count=len(objectives))
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
@@ -60,7 +62,7 @@ def open_study(
             Path(storage.removeprefix("sqlite:///")).absolute().parent.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
             storage=storage,
-            sampler=_make_sampler(sampler, generation=generation, seed=seed, count=len(objectives)),
+            sampler=made_sampler,
             pruner=pruner,
             study_name=name or f"{definition['world']}-{digest}",
             directions=[optuna.study.StudyDirection.MINIMIZE] * (len(objectives) + 1 if len(objectives) > 1 else 1),

@@ -75,3 +75,13 @@ def test_a_folder_without_worlds_is_refused(tmp_path: Path):
         folder_benchmark(tmp_path, speed=5.0)
     with pytest.raises(UserError, match="Cannot read the folder"):
         folder_benchmark(tmp_path / "none", speed=5.0)
+
+
+def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_run(
+    folder: Path, fly: Callable[..., Run], tmp_path: Path
+):
+    content = json.loads((folder / "forest-20.json").read_text(encoding="utf-8"))
+    (folder / "forest-20.json").write_text(json.dumps({**content, "goal": [40.0, 0.0, -0.1]}), encoding="utf-8")
+    with pytest.raises(UserError, match=r"Cannot fly 'forest-20.json': The goal \(40, 0, -0.1\) lies inside"):
+        fly("impossible", folder_benchmark(folder, speed=5.0), flights=1)
+    assert not (tmp_path / "impossible").exists()

@@ -184,6 +184,7 @@ def test_an_interrupted_study_is_continued(poles: World, tmp_path: Path):
         ({"batch": 0}, "at least 1"),
         ({"device": "cuda:77"}, "'cuda:77' is not available"),
         ({"sampler": "cmaes", "objectives": ("time", "clearance")}, "CMA-ES has one objective only"),
+        ({"objectives": ("time", "time")}, "--objective time is given twice"),
         ({"storage": "nonsense://x"}, "Cannot open the storage nonsense://x"),
         ({"storage": "sqlite:////dev/null/below/tune.db"}, "Cannot open the storage sqlite:////dev/null/below/tune.db"),
     ],
@@ -192,6 +193,7 @@ def test_options_out_of_range_are_refused(poles: World, options: dict[str, Any],
     with pytest.raises(UserError) as caught:
         search(poles, **options)
     assert message in str(caught.value)
+    assert ("Cannot open" in str(caught.value)) == ("storage" in options)
 
 
 def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_first_flight(poles: World):
