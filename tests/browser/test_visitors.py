@@ -8,7 +8,7 @@ from playwright.sync_api import Browser, Page
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard.links import Link, Opening
-from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
+from tests.browser.desk import COARSE, TIMEOUT, Desk, open_desk, quick_forest, visit
 from tests.browser.pictures import differing
 
 
@@ -62,8 +62,9 @@ def test_a_visitor_who_looks_on_cannot_step_until_taking_control(desk: Desk, sec
 
 def test_a_link_is_opened_by_a_visitor_who_takes_control_with_the_answer(desk: Desk, browser: Browser):
     link = Link.to_moment(Opening("forest", seed=0), 0.04, PlannerConfig()).query
-    page = visit(browser, f"{desk.dashboard.url}/{link}", resolution=COARSE)
-    page.get_by_text("Open this link?").wait_for()
+    page = browser.new_page()
+    page.goto(f"{desk.dashboard.url}/{link}")
+    page.get_by_text("Open this link?").wait_for(timeout=1e3 * TIMEOUT)
     page.get_by_role("button", name="Take control, open", exact=True).click()
     desk.page.get_by_role("button", name="Take control", exact=True).wait_for()
     desk.wait_for(lambda: desk.session.frame is not None and abs(desk.session.frame.time - 0.04) < 0.01, "the moment")

@@ -71,17 +71,6 @@ def test_a_file_that_is_no_log_is_refused(tmp_path):
         trace_of_log(tmp_path / "other.mcap")
 
 
-@pytest.mark.parametrize(
-    "obstacle",
-    [{"cylinders": [[0, 0, 0, 0, 0, 1, 0.5, 5]]}, {"spheres": [[0, 0, 2, 1]]}, {"boxes": [[0, 0, 2, 1, 1, 1, 0]]}],
-    ids=["cylinder", "sphere", "box"],
-)
-def test_a_drone_that_starts_at_the_centre_of_an_obstacle_is_explained(obstacle: dict[str, Any]):
-    world = World.from_dict({"name": "inside", "start": [0, 0, 2], "goal": [20, 0, 2], **obstacle})
-    result, _, report, _ = flown(world)
-    assert result.reason == report.outcome == "collision" and report.cause == "start inside an obstacle"
-
-
 def test_the_picture_shows_the_candidates_and_the_end(trap):
     _, evidence = explain_flight(trap[0])
     assert evidence is not None

@@ -53,6 +53,10 @@ document.execCommand("copy");
 area.remove();
 """
 """Script that copies a link; the clipboard's own interface needs HTTPS."""
+_COPIED = (
+    "The link is in the clipboard. It flies to this time with the present parameters from the start on. Goals and "
+    "obstacles that were set on the page are not in it."
+)
 _LINK_TIMEOUT = 20.0
 """Longest wait for the answer of a page [s]."""
 _CLOSE_TIMEOUT = 5.0
@@ -108,7 +112,7 @@ class SharePanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 run_script(event.client, _COPY_LINK.replace("QUERY", json.dumps(self._query())))
-                notify(self.page.server, "The link to this moment is in the clipboard.", client=event.client)
+                notify(self.page.server, _COPIED, client=event.client)
 
     def update(self, frame: Frame) -> list[Change]:
         return [] if self.session.playing else [(self._link, "value", self.page.server.url + "/" + self._query())]
