@@ -12,10 +12,17 @@ from urllib.parse import parse_qsl, urlencode
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo, did_you_mean
 from aero_viz.flight.conditions import OFFERED
-from aero_viz.session.source import Conditions
+from aero_viz.flight.flight_settings import FlightSettings
+from aero_viz.flight.rules import FlightRules
+from aero_viz.flight.state_noise import StateNoise
+from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.sensors.models import LIDARS
+from aero_viz.session.source import Conditions, SourceInfo
 
 MOST_ENTRIES = 500
 """Largest number of entries in the query of a link; there may be one for each parameter."""
+_LIDAR = "mid360"
+"""The LiDAR of `aero-viz demo` without flags."""
 
 
 @dataclass(frozen=True)
@@ -28,10 +35,19 @@ class Opening:
     conditions: Conditions | None = None
     """Conditions of a flight; None are those of the program's flags."""
 
-    def command(self, *, closed_loop: bool) -> str:
-        """Return the command that opens the same source: a flight, or else a recording."""
-        name = "demo" if closed_loop else "play"
-        return shlex.join(["aero-viz", name, self.spec, "--seed", str(self.seed)])
+    def command(self, source: SourceInfo, config: PlannerConfig) -> str:
+        """Return the command that shows the same flight or recording.
+
+        Args:
+            source: facts of the source that was opened.
+            config: configuration of the planner, without the facts of the flight.
+        """
+        words = ["aero-viz", "demo" if source.closed_loop else "play", self.spec, "--seed", str(self.seed)]
+        if source.closed_loop:
+            count = None if self.conditions is None else self.conditions.count
+            words += [] if count is None else ["--count", str(count)]
+            words += _flight_flags(source, config)
+        return shlex.join([*words, *_config_flags(config)])
 
 
 @dataclass(frozen=True)
@@ -95,6 +111,38 @@ class Link:
         has_conditions = bool(values) or count is not None or lidar is not None
         opening = Opening(spec, seed, Conditions(count, lidar, values) if has_conditions else None)
         return cls(opening, time, config)
+
+
+def _flight_flags(source: SourceInfo, config: PlannerConfig) -> list[str]:
+    """Return the flags of the LiDAR, the drone, the noise and the rules that differ from the defaults of `demo`."""
+    if "lidar" not in source.settings:  # a source of another program
+        return []
+    settings = FlightSettings.from_dict(source.settings)
+    name = settings.lidar.name if settings.lidar.name in LIDARS else _LIDAR
+    pairs: list[tuple[Any, Any]] = [
+        (LIDARS[name], settings.lidar),
+        (VehicleModel.from_config(config), settings.drone),
+        (StateNoise(), settings.noise or StateNoise()),
+        (FlightRules(), settings.rules),
+    ]
+    flags = [] if name == _LIDAR else ["--lidar", name]
+    for default, actual in pairs:
+        for info in actual.parameters():
+            value = getattr(actual, info.name)
+            flags += [] if value == getattr(default, info.name) else _flag(info.path, value)
+    return flags
+
+
+def _config_flags(config: PlannerConfig) -> list[str]:
+    """Return the flags of a configuration: the preset that it differs from least, and the differences."""
+    differences = {name: PlannerConfig.preset(name).differences(config) for name in PlannerConfig.presets()}
+    name = min(differences, key=lambda name: (len(differences[name]), name != "default"))
+    flags = [] if name == "default" else ["--config", name]
+    return flags + [word for path, (_, value) in differences[name].items() for word in _flag(path, value)]
+
+
+def _flag(path: str, value: Any) -> list[str]:
+    return [f"--{path.replace('_', '-')}", str(value)]
 
 
 def _number(entries: dict[str, str], name: str, default: Any) -> Any:

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import viser
 
+from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link, Opening
@@ -28,6 +29,8 @@ from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.repeat import repeat
+from aero_viz.session.source import SourceInfo
+from aero_viz.session.timeline import Checkpoint
 
 _log = logging.getLogger(__name__)
 _KINDS = {
@@ -36,6 +39,8 @@ _KINDS = {
     "Picture": (".png", viser.Icon.PHOTO, "This moment, with the panels."),
     "Log": (".mcap", viser.Icon.FILE_DOWNLOAD, "The flight so far for play, Foxglove, RViz and others."),
 }
+Ticks = Sequence[tuple[Checkpoint, PlannerConfig]]
+"""Ticks of a session, each with the configuration of its last plan."""
 _STORED = "aero-link"
 _TAKE_LINK = """
 if (location.search.includes("source=")) {
@@ -188,8 +193,10 @@ class SharePanel(Panel):
         if suffix == ".png":
             return self._files.picture(self.page.server.link(view_only=True))
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
-        frame = self.session.frame
-        command = opening.command(closed_loop=frame is None or frame.source.closed_loop)
+        ticks, frame = self._controls.flown().result(), self.session.frame
+        if frame is None or not ticks:
+            raise UserError("Nothing has been planned yet.")
+        command = opening.command(frame.source, config_without_facts(ticks[0][1], frame.source))
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / f"flight{suffix}"
 
@@ -198,14 +205,14 @@ class SharePanel(Panel):
                     raise CancelledError
                 notification.body = f"Writing the file .. {time:.1f} s"
 
-            self._files.write(self._frames(opening, report), path, command=command, layers=shown, report=report)
+            frames = self._frames(opening, frame.source, ticks, report)
+            self._files.write(frames, path, command=command, layers=shown, report=report)
             return path.read_bytes()
 
-    def _frames(self, opening: Opening, report: Callable[[float], None]) -> Iterator[Frame]:
-        ticks, info = self._controls.flown().result(), self.session.frame
-        if info is None or not ticks:
-            raise UserError("Nothing has been planned yet.")
-        twin = FlightSource.twin(info.source) if info.source.world is not None and info.source.closed_loop else None
+    def _frames(
+        self, opening: Opening, info: SourceInfo, ticks: Ticks, report: Callable[[float], None]
+    ) -> Iterator[Frame]:
+        twin = FlightSource.twin(info) if info.world is not None and info.closed_loop else None
         source = twin or open_source(opening.spec, seed=opening.seed)
         for frame in repeat(source, ticks, device=self._controls.device, seed=self._controls.seed):
             yield frame
