@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import PlanStatus, Sweeps
+from aero_planner import Plan, PlannerConfig, PlanStatus, Sweeps
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers.drone import DroneLayer
 from aero_viz.dashboard.panels import status
+from aero_viz.dashboard.panels.compare import tick_table
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
@@ -111,6 +112,25 @@ def test_the_chosen_instance_is_no_rank_and_bars_without_clearance_are_faint(ses
     assert f"{plan.kinds[best]}; no candidate is safe</span>" in status_of(dashboard, plan=braking)
     config = session.frame.config.replace({"candidates.prefer_safe": False})
     assert "; the cheapest candidate is not safe</span>" in status_of(dashboard, plan=braking, config=config)
+
+
+def test_bars_of_instances_that_are_known_to_be_unsafe_are_faint(session, dashboard):
+    """Instances that cost less than the chosen one have no clear stop; if none has one, the clearance says nothing."""
+    plan = session.frame.plan
+    cost = np.arange(len(plan.kinds), dtype=np.float32)
+    plan = dataclasses.replace(plan, stage2_cost=cost, best=2, clearance=np.full_like(plan.clearance, 1.0))
+
+    def faint(plan: Plan, config: PlannerConfig = session.frame.config) -> list[int]:
+        styles = bars_of(status_of(dashboard, plan=plan, config=config))
+        return [m for m, style in enumerate(styles) if "opacity" in style]
+
+    assert faint(plan) == [0, 1]
+    assert faint(plan, session.frame.config.replace({"candidates.prefer_safe": False})) == []
+    braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+    assert faint(braking) == list(range(len(plan.kinds)))
+    frames = [dataclasses.replace(session.frame, plan=plan) for plan in (plan, braking)]
+    table = tick_table(*frames)
+    assert re.search("a candidate is safe(<[^>]*>)+yes(<[^>]*>)+no<", table), table
 
 
 def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):
