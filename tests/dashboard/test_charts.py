@@ -82,6 +82,15 @@ def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(
     assert dashboard.history.past().rows[0, COLUMNS.index("plan_ms")] == 6391.0, "the value itself stays"
 
 
+def test_only_a_world_has_a_true_clearance(session, dashboard):
+    assert "true clearance [m]" in content_of(dashboard, ChartPanel, session.frame)
+    source = dataclasses.replace(session.frame.source, world=None)
+    observation = dataclasses.replace(session.frame.observation, world=None)
+    recorded = dataclasses.replace(session.frame, source=source, observation=observation)
+    content = content_of(dashboard, ChartPanel, recorded)
+    assert "clearance to the cloud [m]" in content and "true clearance" not in content
+
+
 def test_one_plan_has_a_curve(session, dashboard):
     dashboard.history.add(dataclasses.replace(session.frame, timings_ms={"plan": 6391.0}))
     assert axis(content_of(dashboard, ChartPanel, session.frame), "plan_ms") == 6391.0

@@ -95,6 +95,25 @@ def test_the_size_of_a_small_cloud_is_not_rounded_to_nothing(session, dashboard,
     assert text in status_of(dashboard, observation=dataclasses.replace(seen, sweeps=sweeps))
 
 
+def test_points_that_no_beam_has_hit_do_not_count_as_filtered_points(session, dashboard):
+    plan = session.frame.plan
+    continued = np.zeros(plan.fine_range.shape, np.bool_)
+    continued[0, :7] = True
+    count = len(plan.filtered_points) - 7
+    assert f">{count}</span>" in status_of(dashboard, plan=dataclasses.replace(plan, continued_cells=continued))
+
+
+def test_the_height_is_named_by_what_it_counts_from(session, dashboard):
+    seen, source = session.frame.observation, session.frame.source
+    above = dataclasses.replace(seen, ground_height=-1.5)
+    assert re.search(r">height<.*?>3\.5<", status_of(dashboard, observation=above))
+    unknown = dataclasses.replace(seen, ground_height=None)
+    assert re.search(r">z<.*?>2\.0<", status_of(dashboard, observation=unknown))
+    recording = dataclasses.replace(source, times=np.arange(3.0))
+    shown = status_of(dashboard, observation=unknown, source=recording)
+    assert re.search(r">z from first pose<.*?>2\.0<", shown) and ">height<" not in shown
+
+
 def bars_of(content: str) -> list[str]:
     """Return the style of each bar."""
     return re.findall(r'title="\d+ \w+: S2[^"]*" style="([^"]*)"', content)
