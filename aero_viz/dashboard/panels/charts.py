@@ -186,7 +186,8 @@ def _named(curve: Curve, frame: Frame) -> Curve:
 
 def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: int) -> str:
     indices = [COLUMNS.index(name) for name in curve.columns]
-    top = curve.top or max(_largest(curve, np.vstack((past.rows[:, indices], past.ghost[:, indices]))), 1e-9)
+    largest = curve.top or _largest(curve, np.vstack((past.rows[:, indices], past.ghost[:, indices])))
+    top = largest if largest > 0.0 else 1.0  # all values are zero, and lie on the lower end of any axis
     height = max(float(_scaled(curve, np.array(top))), 1e-9)
 
     def paths(rows: Array, opacity: float, ghost: str = "") -> str:
