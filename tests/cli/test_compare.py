@@ -1,6 +1,7 @@
 """`aero-viz compare`: figures, parameters and conditions of two logs."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 from command_line import run, run_json, run_refused
@@ -90,12 +91,15 @@ def test_what_is_no_flight_log_is_named(logs, tmp_path, capsys):
     assert "nowhere.mcap" in run_refused(capsys, "compare", logs[0][0], "nowhere.mcap")
     (tmp_path / "text.mcap").write_text("no log")
     assert "is not a flight log" in run_refused(capsys, "compare", str(tmp_path / "text.mcap"), logs[0][0])
-    cut = tmp_path / "cut.mcap"
-    with open(logs[0][0], "rb") as file:
-        content = file.read()
-    cut.write_bytes(content[: len(content) // 2])
-    assert "cut.mcap" in run_refused(capsys, "compare", str(cut), logs[0][0])
+    content = Path(logs[0][0]).read_bytes()
     damaged = bytearray(content)
     damaged[len(content) // 3 : len(content) // 3 + 2000] = bytes(2000)
-    cut.write_bytes(damaged)
-    assert "cut.mcap" in run_refused(capsys, "compare", str(cut), logs[0][0])
+    (tmp_path / "damaged.mcap").write_bytes(damaged)
+    assert "damaged.mcap" in run_refused(capsys, "compare", str(tmp_path / "damaged.mcap"), logs[0][0])
+
+
+def test_a_log_that_was_cut_off_is_compared_up_to_the_cut(logs, tmp_path, capsys):
+    content = Path(logs[0][0]).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
+    code, text, _ = run(capsys, "compare", str(tmp_path / "cut.mcap"), logs[0][0])
+    assert code == 0 and "cut short" in text
