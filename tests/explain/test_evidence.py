@@ -80,7 +80,7 @@ def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_a
     evidence = replanner(session.tick())
     session.close()
     replanner.close()
-    sentences = [verdict(evidence, m) for m in np.flatnonzero(~evidence.is_safe)]
+    sentences = [verdict(evidence, int(m)) for m in np.flatnonzero(~evidence.is_safe)]
     speed = r"at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough"
     assert any(re.search(rf"is unsafe: {speed}\.", sentence) for sentence in sentences), sentences
     assert not any("the ground" in sentence for sentence in sentences), sentences
