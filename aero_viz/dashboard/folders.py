@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from aero_viz.errors import UserError
@@ -36,7 +36,7 @@ class Folders:
         except (OSError, ValueError, RuntimeError):  # a name that no file can have
             found = None
         if found is None:
-            folders = " or ".join(path.name for path in self.paths)  # visitors need not know where they are
+            folders = " or ".join(_short_names(self.paths))
             where = f"in {folders}, where this page may open files" if folders else "that this page may open"
             raise UserError(f"There is no file {name} {where}. Start aero-viz with --folder DIR to add a folder.")
         if not found.is_file() and not found.is_dir():
@@ -54,6 +54,18 @@ class Folders:
 
     def _is_inside(self, resolved: Path) -> bool:
         return any(resolved.is_relative_to(folder) for folder in self.paths)
+
+
+def _short_names(paths: Sequence[Path]) -> list[str]:
+    """Return the last parts of each path that tell it from the others; visitors need not know where they are."""
+    names = []
+    for path in paths:
+        others = [other.parts for other in paths if other != path]
+        parts = 1
+        while parts < len(path.parts) and any(other[-parts:] == path.parts[-parts:] for other in others):
+            parts += 1
+        names.append("/".join(part.strip("/") for part in path.parts[-parts:]))
+    return names
 
 
 def _may_be_recording(folder: Path) -> bool:

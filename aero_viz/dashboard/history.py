@@ -187,14 +187,19 @@ def first_difference(rows: Rows, ghost: Rows, *, has_ended: bool, plans: bool = 
     return float(rows[differs[0], 0]) if len(differs) else None
 
 
-def true_clearance(frame: Frame) -> float:
+def is_clearance_true(frame: Frame) -> bool:
+    """Return True if `drone_clearance` is the distance to the world itself, not to the cloud."""
+    world = frame.world
+    return world is not None and len(world.cylinders) + len(world.boxes) + len(world.spheres) <= _SOLIDS_MAX
+
+
+def drone_clearance(frame: Frame) -> float:
     """Return the distance from the drone to the nearest surface [m], at most `CLEARANCE_MAX`.
 
     In a world of up to 3000 solids it is exact. Otherwise it is the distance to the nearest point of the cloud.
     """
-    position = frame.drone_position
-    world = frame.world
-    if world is not None and len(world.cylinders) + len(world.boxes) + len(world.spheres) <= _SOLIDS_MAX:
+    position, world = frame.drone_position, frame.world
+    if world is not None and is_clearance_true(frame):
         distance = float(world.distance(position[None])[0])
     else:
         points = frame.plan.filtered_points
@@ -215,7 +220,7 @@ def _row(frame: Frame) -> Rows:
         (
             frame.time,
             np.linalg.norm(np.asarray(state.velocity)),
-            true_clearance(frame),
+            drone_clearance(frame),
             plan.stage2_cost[best],
             plan.goal_cost[best],
             plan.collision_cost[best],

@@ -79,6 +79,8 @@ class Evidence:
     nearer than that at the start."""
     stop_clearance: Array | None
     """Largest clearance of the stops of each instance [m], shape [M]; None if no stop is proven."""
+    clear_stop: float
+    """Clearance that the planner demanded of a stop [m]."""
     is_safe: NDArray[np.bool_]
     """Shape [M]."""
     samples: tuple[Array, Array]
@@ -87,6 +89,13 @@ class Evidence:
     """Position, velocity and quaternion at which the plan takes effect."""
     control: tuple[Array, Array]
     """Controls in effect and commanded at the start, shape [4] each."""
+
+    @property
+    def has_stop(self) -> NDArray[np.bool_]:
+        """True for each instance with a clear stop, shape [M]; true for all if no stop is proven."""
+        if self.stop_clearance is None:
+            return np.ones(len(self.nearest), dtype=np.bool_)
+        return self.stop_clearance >= np.float32(self.clear_stop)
 
     def stage1(self, instance: int) -> Stage1:
         """Return Stage I of an instance."""
@@ -176,12 +185,12 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     terms[STAGE2.index("escape"), is_previous] *= 1.0 - config.escape.previous_discount
     nearest, start_clearance = read("instance_scores")[:M, 1], float(read("standing_clearance")[0, -1])
     safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
+    limit = min(config.candidates.stop_clearance, config.candidates.safe_clearance)
+    clear_stop = _least(limit, start_clearance, 0.005)
     is_safe = nearest >= np.float32(safe)
     if config.candidates.prove_stop != "off":
         stops = _clearance_of_all_stops(planner).reshape(M, -1).max(axis=1)
-        limit = min(config.candidates.stop_clearance, config.candidates.safe_clearance)
-        has_stop = stops >= np.float32(_least(limit, start_clearance, 0.005))
-        is_safe = has_stop & (is_safe | (config.candidates.prove_stop == "instead"))
+        is_safe = (stops >= np.float32(clear_stop)) & (is_safe | (config.candidates.prove_stop == "instead"))
     instance_of = np.s_[: plan.controls.shape[1]]
     return Evidence(
         frame=frame,
@@ -194,6 +203,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
         nearest=nearest,
         safe_clearance=safe,
         stop_clearance=stops,
+        clear_stop=clear_stop,
         is_safe=is_safe,
         samples=(
             work.sample_controls.numpy()[..., :K].astype(np.float64).transpose(0, 3, 1, 2),

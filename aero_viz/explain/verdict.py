@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlanStatus
 from aero_viz.explain.evidence import Evidence
-from aero_viz.explain.terms import STAGE2
+from aero_viz.explain.terms import STAGE2, step_times
 from aero_viz.scenes import World
 
+Array = NDArray[np.float64]
 _ON_SURFACE = 0.3
 """Distance up to which a point of the cloud belongs to a solid of the world: noise and drift [m]."""
 _SHARE = 0.1
@@ -29,13 +30,17 @@ def closest(evidence: Evidence, instance: int, steps: slice = slice(None)) -> tu
     distance = evidence.distance[instance, steps]
     step = int(distance.argmin()) + (steps.start or 0)
     position = np.asarray(evidence.plan.positions[instance, step + 1], dtype=np.float64)
-    obstacles, time = evidence.problem.obstacles, (step + 1) * evidence.frame.config.sampling.dt
+    time = (step + 1) * evidence.frame.config.sampling.dt
+    return float(distance.min()), time, _nearest_name(evidence, position, time)
+
+
+def _nearest_name(evidence: Evidence, position: Array, time: float) -> str:
+    """Return the name of the obstacle that is nearest to a position [m], [3], at a time in the plan [s]."""
+    obstacles = evidence.problem.obstacles
     speed = obstacles.speed_of_nearest(position, time)
     if speed is None:
-        name = obstacle_name(evidence.frame.world, obstacles.nearest_point(position))
-    else:
-        name = f"an obstacle that moves at {speed:.1f} m/s"
-    return float(distance.min()), time, name
+        return obstacle_name(evidence.frame.world, obstacles.nearest_point(position))
+    return f"an obstacle that moves at {speed:.1f} m/s"
 
 
 def verdict(evidence: Evidence, instance: int) -> str:
@@ -72,12 +77,44 @@ def _unsafe(evidence: Evidence, instance: int) -> str:
     if evidence.is_safe[instance]:
         return f"Instance {instance} is safe."
     reasons = []
-    if evidence.stop_clearance is not None:
-        reasons.append("no stop that leaves it stays clear, in space that is seen")
+    if not evidence.has_stop[instance]:
+        c, limit = evidence.frame.config.candidates, evidence.frame.config.vehicle.speed_limit
+        speed = float(np.linalg.norm(evidence.plan.velocities[instance, 0]))
+        # The planner measures no clearance above what is asked at the speed limit.
+        is_too_fast = c.safe_clearance + c.speed_margin * (limit - speed) < evidence.clear_stop
+        stop = "no stop that leaves it stays clear, in space that is seen"
+        reasons.append(_too_fast(evidence, instance) if is_too_fast else stop)
     if evidence.nearest[instance] < evidence.safe_clearance:
-        distance, time, name = closest(evidence, instance)
-        reasons.append(f"it comes within {distance:.2f} m of {name} at {time:.2f} s")
-    return f"Instance {instance} is unsafe: {', and '.join(reasons)}."
+        reasons += _too_near(evidence, instance)
+    return f"Instance {instance} is unsafe: {', and '.join(dict.fromkeys(reasons))}."
+
+
+def _too_near(evidence: Evidence, instance: int) -> list[str]:
+    """Return where an instance lacks the most clearance, which the planner measures less a margin for the speed."""
+    config, plan = evidence.frame.config, evidence.plan
+    positions, velocities = (array[instance].astype(np.float64) for array in (plan.positions, plan.velocities))
+    places, speeds = positions[1:], np.linalg.norm(velocities, axis=-1)
+    times = step_times(places, config)
+    asked = speeds[1:]
+    if config.candidates.between_steps:
+        places = np.concatenate((places, 0.5 * (positions[:-1] + positions[1:])))
+        asked = np.concatenate((asked, speeds[:-1]))
+        times = np.concatenate((times, times - 0.5 * config.sampling.dt))
+    asked = evidence.safe_clearance + config.candidates.speed_margin * asked
+    distances = evidence.problem.obstacles.distance(places, times)
+    at = int((distances - asked).argmin())
+    is_asked = config.candidates.prove_stop != "instead"  # otherwise it may come close beyond its stop
+    if distances[at] >= asked[at]:
+        return [_too_fast(evidence, instance)] if is_asked else []
+    text = f"it comes within {distances[at]:.2f} m of {_nearest_name(evidence, places[at], float(times[at]))}"
+    rest = f", where {asked[at]:.2f} m are asked" if is_asked else ""
+    return [f"{text} at {times[at]:.2f} s{rest}"]
+
+
+def _too_fast(evidence: Evidence, instance: int) -> str:
+    speed = float(np.linalg.norm(evidence.plan.velocities[instance], axis=-1).max())
+    limit = evidence.frame.config.vehicle.speed_limit
+    return f"at {speed:.1f} m/s, above the speed limit of {limit:g} m/s, no clearance counts as enough"
 
 
 def _difference(evidence: Evidence, instance: int, best: int) -> str:

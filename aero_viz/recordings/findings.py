@@ -89,6 +89,8 @@ class Measured:
             parts.append(f"azimuth {self.azimuth_deg:.0f} deg")
         if self.ground_height is not None:
             parts.append(f"ground at z = {self.ground_height:.1f} m")
+        elif self.pose_rate:
+            parts.append("no level ground seen, so its height is unknown")
         return "; ".join(parts)
 
 

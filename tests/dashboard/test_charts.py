@@ -82,6 +82,22 @@ def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(
     assert dashboard.history.past().rows[0, COLUMNS.index("plan_ms")] == 6391.0, "the value itself stays"
 
 
+def test_a_curve_of_zeros_has_an_axis_that_can_be_read(session, dashboard):
+    plan = session.frame.plan
+    clear = dataclasses.replace(plan, clearance=np.zeros_like(plan.clearance))
+    dashboard.history.add(dataclasses.replace(session.frame, plan=clear))
+    assert axis(content_of(dashboard, ChartPanel, session.frame), "safe") == 1.0
+
+
+def test_only_a_world_has_a_true_clearance(session, dashboard):
+    assert "true clearance [m]" in content_of(dashboard, ChartPanel, session.frame)
+    source = dataclasses.replace(session.frame.source, world=None)
+    observation = dataclasses.replace(session.frame.observation, world=None)
+    recorded = dataclasses.replace(session.frame, source=source, observation=observation)
+    content = content_of(dashboard, ChartPanel, recorded)
+    assert "clearance to the cloud [m]" in content and "true clearance" not in content
+
+
 def test_one_plan_has_a_curve(session, dashboard):
     dashboard.history.add(dataclasses.replace(session.frame, timings_ms={"plan": 6391.0}))
     assert axis(content_of(dashboard, ChartPanel, session.frame), "plan_ms") == 6391.0

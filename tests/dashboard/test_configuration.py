@@ -12,6 +12,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import Baseline, differences
+from aero_viz.dashboard.preset_store import PresetStore
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
@@ -55,6 +56,40 @@ def uuid_of(dashboard: Dashboard, label: str) -> str:
     """Return what messages of the page call a control."""
     controls = dashboard.server.gui._gui_input_handle_from_uuid
     return next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == label)
+
+
+def press(dashboard: Dashboard, client: Connection, label: str) -> None:
+    """Press a button."""
+    send(client, type="GuiUpdateMessage", uuid=uuid_of(dashboard, label), updates={"value": True})
+
+
+def test_a_saved_preset_is_confirmed_and_replaced_only_after_a_question(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
+    session, store = Session(small_source(), config=small_config()), PresetStore()
+    session.tick()
+    dashboard = Dashboard(session, port=0)
+    with join(dashboard.server) as client:
+        send(client, **CAMERA)
+        wait_for(dashboard.server.get_clients, "the client")
+        name = uuid_of(dashboard, "Name")
+        send(client, type="GuiUpdateMessage", uuid=name, updates={"value": "mine"})
+        press(dashboard, client, "Save preset")
+        read_until(client, "The preset 'mine' was saved.")
+        before = store.load("mine").config
+        session.configure({"costs.q_track": 7.5})
+        press(dashboard, client, "Save preset")
+        heard = read_until(client, "Keep it")
+        assert "Replace this preset?" in heard and store.load("mine").config == before
+        (page,) = dashboard.server.get_clients().values()
+        answers = page.gui._gui_input_handle_from_uuid
+        (answer,) = (
+            uuid for uuid, control in answers.items() if getattr(control, "options", ()) == ("Replace", "Keep it")
+        )
+        send(client, type="GuiUpdateMessage", uuid=answer, updates={"value": "Replace"})
+        read_until(client, "The preset 'mine' was saved.")
+        assert store.load("mine").config.costs.q_track == 7.5
+    dashboard.close()
+    session.close()
 
 
 def upload(dashboard: Dashboard, client: Connection, content: bytes) -> None:

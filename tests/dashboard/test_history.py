@@ -10,7 +10,7 @@ import pytest
 from small_source import small_config, small_source
 
 from aero_planner import PlanStatus
-from aero_viz.dashboard.history import COLUMNS, FlightHistory, first_difference, true_clearance
+from aero_viz.dashboard.history import COLUMNS, FlightHistory, drone_clearance, first_difference
 from aero_viz.dashboard.panels.charts import CURVES, envelope, flight_table, table
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, FlightFigures
 from aero_viz.session import Session
@@ -121,7 +121,7 @@ def test_clearance_is_the_true_one_up_to_its_limit(session):
     frame = session.tick()
     position = np.asarray(frame.observation.actual_state.position)
     exact = float(frame.source.world.distance(position[None])[0])
-    assert true_clearance(frame) == pytest.approx(min(exact, CLEARANCE_MAX))
+    assert drone_clearance(frame) == pytest.approx(min(exact, CLEARANCE_MAX))
     assert exact > frame.config.costs.distance_max, "beyond what the planner measures"
 
 

@@ -288,3 +288,11 @@ def test_a_folder_without_a_recording_is_refused(folder):
 def test_without_folders_no_file_is_open(folder):
     with pytest.raises(UserError, match=r"json that this page may open\. Start aero-viz with --folder DIR"):
         Folders([folder / "absent"]).find(str(folder / "poles.json"))
+
+
+def test_folders_of_one_name_are_told_apart_by_those_above_them(tmp_path):
+    paths = [tmp_path / "mine" / "datasets", tmp_path / "shipped" / "datasets", tmp_path / "bad"]
+    for path in paths:
+        path.mkdir(parents=True)
+    with pytest.raises(UserError, match="no file x in mine/datasets or shipped/datasets or bad, where"):
+        Folders(paths).find("x")

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import PlanStatus, Sweeps
+from aero_planner import Plan, PlannerConfig, PlanStatus, Sweeps
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.layers.drone import DroneLayer
 from aero_viz.dashboard.panels import status
+from aero_viz.dashboard.panels.compare import tick_table
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
@@ -94,6 +95,25 @@ def test_the_size_of_a_small_cloud_is_not_rounded_to_nothing(session, dashboard,
     assert text in status_of(dashboard, observation=dataclasses.replace(seen, sweeps=sweeps))
 
 
+def test_points_that_no_beam_has_hit_do_not_count_as_filtered_points(session, dashboard):
+    plan = session.frame.plan
+    continued = np.zeros(plan.fine_range.shape, np.bool_)
+    continued[0, :7] = True
+    count = len(plan.filtered_points) - 7
+    assert f">{count}</span>" in status_of(dashboard, plan=dataclasses.replace(plan, continued_cells=continued))
+
+
+def test_the_height_is_named_by_what_it_counts_from(session, dashboard):
+    seen, source = session.frame.observation, session.frame.source
+    above = dataclasses.replace(seen, ground_height=-1.5)
+    assert re.search(r">height<.*?>3\.5<", status_of(dashboard, observation=above))
+    unknown = dataclasses.replace(seen, ground_height=None)
+    assert re.search(r">z<.*?>2\.0<", status_of(dashboard, observation=unknown))
+    recording = dataclasses.replace(source, times=np.arange(3.0))
+    shown = status_of(dashboard, observation=unknown, source=recording)
+    assert re.search(r">z from first pose<.*?>2\.0<", shown) and ">height<" not in shown
+
+
 def bars_of(content: str) -> list[str]:
     """Return the style of each bar."""
     return re.findall(r'title="\d+ \w+: S2[^"]*" style="([^"]*)"', content)
@@ -111,6 +131,25 @@ def test_the_chosen_instance_is_no_rank_and_bars_without_clearance_are_faint(ses
     assert f"{plan.kinds[best]}; no candidate is safe</span>" in status_of(dashboard, plan=braking)
     config = session.frame.config.replace({"candidates.prefer_safe": False})
     assert "; the cheapest candidate is not safe</span>" in status_of(dashboard, plan=braking, config=config)
+
+
+def test_bars_of_instances_that_are_known_to_be_unsafe_are_faint(session, dashboard):
+    """Instances that cost less than the chosen one have no clear stop; if none has one, the clearance says nothing."""
+    plan = session.frame.plan
+    cost = np.arange(len(plan.kinds), dtype=np.float32)
+    plan = dataclasses.replace(plan, stage2_cost=cost, best=2, clearance=np.full_like(plan.clearance, 1.0))
+
+    def faint(plan: Plan, config: PlannerConfig = session.frame.config) -> list[int]:
+        styles = bars_of(status_of(dashboard, plan=plan, config=config))
+        return [m for m, style in enumerate(styles) if "opacity" in style]
+
+    assert faint(plan) == [0, 1]
+    assert faint(plan, session.frame.config.replace({"candidates.prefer_safe": False})) == []
+    braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
+    assert faint(braking) == list(range(len(plan.kinds)))
+    frames = [dataclasses.replace(session.frame, plan=plan) for plan in (plan, braking)]
+    table = tick_table(*frames)
+    assert re.search("a candidate is safe(<[^>]*>)+yes(<[^>]*>)+no<", table), table
 
 
 def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):

@@ -6,10 +6,13 @@ import re
 import numpy as np
 import pytest
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
+from aero_viz.catalog import open_source
 from aero_viz.errors import UserError
+from aero_viz.explain.evidence import Replanner
 from aero_viz.explain.terms import STAGE1, STAGE2
 from aero_viz.explain.verdict import verdict
+from aero_viz.session import Session
 from tests.explain.conftest import evidence_of
 
 FLIGHTS = (
@@ -65,6 +68,22 @@ def test_a_sentence_names_term_time_and_obstacle():
     sentences = [verdict(e, m) for e in evidence_of(*FLIGHTS[1]) for m in range(15)]
     named = r"Instance \d+ lost to \d+: .*\d+ more for obstacles between [\d.]+ and [\d.]+ s, [\d.]+ m from box \d+\."
     assert any(re.fullmatch(named, sentence) for sentence in sentences), sentences
+
+
+@pytest.mark.parametrize("prove_stop", ["off", "required", "instead"])
+def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_and_not_for_the_ground(prove_stop):
+    config = PlannerConfig().replace({"candidates.prove_stop": prove_stop, "sampling.samples": 64})
+    session, replanner = Session(open_source("forest", seed=3), config=config), Replanner()
+    for _ in range(60):
+        session.tick()
+    session.configure({"vehicle.speed_limit": 0.5})
+    evidence = replanner(session.tick())
+    session.close()
+    replanner.close()
+    sentences = [verdict(evidence, int(m)) for m in np.flatnonzero(~evidence.is_safe)]
+    speed = r"at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough"
+    assert any(re.search(rf"is unsafe: {speed}\.", sentence) for sentence in sentences), sentences
+    assert not any("the ground" in sentence for sentence in sentences), sentences
 
 
 def test_a_plan_of_a_drone_cannot_be_explained(replan):

@@ -103,12 +103,13 @@ def test_a_good_flight_has_no_findings(build: Build):
 
 
 def test_shipped_recordings_have_no_findings_and_only_ground_that_was_seen():
-    grounds = {}
+    grounds, texts = {}, {}
     for name, (path, _) in shipped_recordings().items():
         report = inspect(path)
         assert report.findings == () and report.measured is not None
-        grounds[name] = report.measured.ground_height
+        grounds[name], texts[name] = report.measured.ground_height, report.measured.format_line()
     assert grounds == {"forest_mid360": pytest.approx(0.0, abs=0.1), "room_mid360": None}, "walls are no ground"
+    assert "ground at z = " in texts["forest_mid360"] and "no level ground seen" in texts["room_mid360"]
 
 
 @pytest.mark.parametrize(("name", "expected"), [("ouster_os1_128_mcap", []), ("hilti_os0_A_mcap", ["twist-zero"])])

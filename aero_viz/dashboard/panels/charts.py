@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import io
 import time
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.history import COLUMNS, Event, Past
+from aero_viz.dashboard.history import COLUMNS, Event, Past, is_clearance_true
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
@@ -62,7 +63,7 @@ class Curve:
 
 CURVES = (
     Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
-    Curve("true clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
+    Curve("clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
     Curve(
         "chosen S2 (log)", ("cost", "goal_cost", "collision_cost"),
         (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", names=("all", "goal", "collision"), is_log=True,
@@ -152,7 +153,7 @@ def _drawing(past: Past, frame: Frame) -> str:
     at = int(np.clip(np.searchsorted(past.rows[:, 0], frame.time + 1e-9) - 1, 0, len(past.rows) - 1))
     cursor = (frame.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
     curves = [curve for curve in CURVES if np.isfinite(past.rows[:, COLUMNS.index(curve.columns[0])]).any()]
-    parts = [_curve(curve, past, span, gap, at) for curve in curves]
+    parts = [_curve(_named(curve, frame), past, span, gap, at) for curve in curves]
     height = len(curves) * (_HEIGHT + 18)
     marks = "".join(_mark(event, span) for event in past.events)
     difference = ""
@@ -175,9 +176,18 @@ def _drawing(past: Past, frame: Frame) -> str:
     )
 
 
+def _named(curve: Curve, frame: Frame) -> Curve:
+    """Return a curve with the label that suits the source: only a flight in a world knows the true clearance."""
+    if curve.columns != ("clearance",):
+        return curve
+    label = "true clearance [m]" if is_clearance_true(frame) else "clearance to the cloud [m]"
+    return dataclasses.replace(curve, label=label)
+
+
 def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: int) -> str:
     indices = [COLUMNS.index(name) for name in curve.columns]
-    top = curve.top or max(_largest(curve, np.vstack((past.rows[:, indices], past.ghost[:, indices]))), 1e-9)
+    largest = curve.top or _largest(curve, np.vstack((past.rows[:, indices], past.ghost[:, indices])))
+    top = largest if largest > 0.0 else 1.0  # all values are zero, and lie on the lower end of any axis
     height = max(float(_scaled(curve, np.array(top))), 1e-9)
 
     def paths(rows: Array, opacity: float, ghost: str = "") -> str:

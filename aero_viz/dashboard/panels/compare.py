@@ -7,7 +7,7 @@ import asyncio
 import numpy as np
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
@@ -21,6 +21,9 @@ _PIN_HINT = (
     "and the rollouts of A have the colour of the ghost."
 )
 _FLY_HINT = "A flies from this tick to its end, as the ghost; then B flies from the same tick, with the same noise."
+
+_SAFE = {PlanStatus.OK: "yes", PlanStatus.NO_SAFE_CANDIDATE: "no", PlanStatus.STALE_CLOUD: "no cloud"}
+"""Whether a candidate is safe, which asks for a clear stop besides the clearance, by the status of the plan."""
 
 
 class ComparePanel(Panel):
@@ -110,7 +113,8 @@ def tick_table(a: Frame, b: Frame) -> str:
     """Return the plans of A and B for the same tick in figures, as HTML."""
     labels = (
         "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
-        "clearance of the plan [m]", "speed at its end [m/s]", "candidates with clearance", "plan time [ms]",
+        "clearance of the plan [m]", "speed at its end [m/s]", "candidates with clearance", "a candidate is safe",
+        "plan time [ms]",
     )  # fmt: skip
     return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
 
@@ -130,5 +134,6 @@ def _plan(frame: Frame) -> tuple[str, ...]:
         f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
         f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
         f"{safe} of {len(plan.kinds)}",
+        _SAFE[PlanStatus(int(np.asarray(plan.status)))],
         f"{frame.timings_ms.get('plan', 0.0):.1f}",
     )

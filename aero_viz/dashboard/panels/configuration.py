@@ -109,7 +109,8 @@ class ConfigurationPanel(Panel):
 
         async def save_it(event: viser.GuiEvent) -> None:
             await asyncio.sleep(TYPING_DELAY)
-            self.page.attempt(lambda: self._save(name.value.strip()), event.client)
+            if (client := event.client) is not None:
+                self.page.attempt(lambda: self._save_or_ask(name.value.strip(), client), client)
 
         form.on_submit(save_it)
         save.on_click(save_it)
@@ -164,9 +165,24 @@ class ConfigurationPanel(Panel):
         if goal is not None:
             self._controls.set_goal(goal)  # if it cannot be flown to here, the session says so
 
-    def _save(self, name: str) -> None:
+    def _save_or_ask(self, name: str, client: viser.ClientHandle) -> None:
+        """Save a preset, after a question if it replaces another one."""
+        if name not in self._store.names():
+            self._save(name, client)
+            return
+        self.page.ask(
+            client,
+            "Replace this preset?",
+            markup.block(f"<b>{markup.text(name)}</b>", markup.text(str(self._store.path(name)))),
+            yes="Replace",
+            no="Keep it",
+            action=lambda: self._save(name, client),
+        )
+
+    def _save(self, name: str, client: viser.ClientHandle) -> None:
         config, frame = self._config(), self.session.frame
         self._store.save(name, config, None if frame is None else np.asarray(frame.observation.goal.position).tolist())
+        notify(self.page.server, f"The preset {name!r} was saved.", client=client)
         self._saved = self._store.names()
         self._baseline.name, self._baseline.config = name, config
 

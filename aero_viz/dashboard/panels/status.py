@@ -121,16 +121,26 @@ def _figures(frame: Frame) -> str:
     is_beyond = clearance >= reach - 1e-4
     count = len(frame.observation.points)
     points = f"{count // 1000}k" if count >= 10_000 else f"{count}"
+    # Continued surfaces count as filtered points for the planner, but no beam has hit them.
+    continued = 0 if frame.plan.continued_cells is None else np.count_nonzero(frame.plan.continued_cells)
     return markup.metrics(
         [
             ("speed", f"{np.linalg.norm(np.asarray(state.velocity)):.1f}", "m/s"),
-            ("height", f"{position[2]:.1f}", "m"),
+            _height(frame, float(position[2])),
             ("distance to goal", f"{goal_distance:.1f}", "m"),
             ("clearance", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
-            ("filtered points", f"{len(frame.plan.filtered_points)}", f"/{points}"),
+            ("filtered points", f"{len(frame.plan.filtered_points) - continued}", f"/{points}"),
             ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
     )
+
+
+def _height(frame: Frame, z: float) -> tuple[str, str, str]:
+    """Return the height above the ground where that is known, and otherwise z, whose origin the label names."""
+    ground = frame.observation.ground_height
+    if ground is not None and np.isfinite(ground):
+        return "height", f"{z - ground:.1f}", "m"
+    return "z" if frame.source.times is None else "z from first pose", f"{z:.1f}", "m"
 
 
 def _estimates(frame: Frame) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 
 from aero_planner import PlannerConfig
 from aero_planner.output_files import check_output_files, whole_file
-from aero_viz.dashboard.history import true_clearance
+from aero_viz.dashboard.history import drone_clearance
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
 from aero_viz.errors import UserError
@@ -215,7 +215,7 @@ def _write_page(frames: Iterable[Frame], path: Path, *, command: str, layers: Se
         for frame in thinned(frames):
             recording.add(frame)
             speed = float(np.linalg.norm(np.asarray(frame.observation.actual_state.velocity)))
-            figures.append((frame.time, speed, true_clearance(frame)))
+            figures.append((frame.time, speed, drone_clearance(frame)))
         assert frame is not None
         content = page(
             recording.as_html(),
