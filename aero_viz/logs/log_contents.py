@@ -30,6 +30,7 @@ from aero_planner.plan import PlanStatus
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
+from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 
 if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 
 _TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
 _PLAN_TOPICS = {"/plan", "/plan/best"}
-_MAGIC = b"\x89MCAP0\r\n"
 _TEXT_MAX = 1000
 _COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")
 
@@ -151,7 +151,7 @@ def is_flight_log(path: str | Path) -> bool:
         return False
     try:
         with open_user_file(path) as file:
-            if file.read(len(_MAGIC)) != _MAGIC:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 return False
             if _is_cut_off(file):
                 return _has_plans(Path(path))
@@ -163,16 +163,14 @@ def is_flight_log(path: str | Path) -> bool:
 
 def _is_cut_off(file: IO[bytes]) -> bool:
     """Return True if an MCAP file has no end, where its summary is; the file is at its beginning afterwards."""
-    file.seek(-len(_MAGIC), os.SEEK_END)
+    file.seek(-len(MCAP_MAGIC), os.SEEK_END)
     end = file.read()
     file.seek(0)
-    return end != _MAGIC
+    return end != MCAP_MAGIC
 
 
 def _has_plans(path: Path) -> bool:
     """Return True if the whole chunks of an MCAP file hold the plans of this planner."""
-    from aero_viz.recordings.mcap_file import McapFile
-
     missing = set(_PLAN_TOPICS)
     with contextlib.closing(McapFile(path)) as recording:
         for message in recording.scan(()):

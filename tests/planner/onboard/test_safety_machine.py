@@ -121,12 +121,21 @@ def run(safety: SafetyMachine, inputs: Inputs, seconds: float, start: float) -> 
     return start
 
 
-def flying() -> tuple[SafetyMachine, float]:
+def started(inputs: Inputs, state: State) -> tuple[SafetyMachine, float]:
+    """Return a machine that `inputs` have brought from a disarmed vehicle to `state`, and the time then."""
     safety = SafetyMachine(LIMITS)
     now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, 0.0)
-    now = run(safety, WELL, 0.1, now)
-    assert safety.state is State.FLYING
+    now = run(safety, inputs, 0.1, now)
+    assert safety.state is state
     return safety, now
+
+
+def flying() -> tuple[SafetyMachine, float]:
+    return started(WELL, State.FLYING)
+
+
+def ready() -> tuple[SafetyMachine, float]:
+    return started(PILOT_FLIES, State.READY)
 
 
 def test_a_flight_from_the_ground_to_the_goal_and_back_to_the_pilot():
@@ -191,14 +200,6 @@ def test_a_node_without_its_failsafe_process_is_never_ready_and_flies_on():
     safety, now = flying()
     run(safety, unguarded, 1.0, now)
     assert safety.state is State.FLYING
-
-
-def ready() -> tuple[SafetyMachine, float]:
-    safety = SafetyMachine(LIMITS)
-    now = run(safety, dataclasses.replace(WELL, armed=False, offboard=False), 0.1, 0.0)
-    now = run(safety, PILOT_FLIES, 0.1, now)
-    assert safety.state is State.READY
-    return safety, now
 
 
 def test_after_a_fault_in_ready_the_next_heartbeat_decides():
