@@ -70,9 +70,9 @@ def explain(
             )
         trace = trace_of_log(flight, device=device)
     else:
-        trace, config = FlightTrace(), config_flags.load()
-        options: dict[str, Any] = {"seed": seed, "device": device, "speed": speed, "trajectory": trajectory}
-        options |= {"config": config, "config_name": config_flags.name_of(config_flags.load(speed=speed))}
+        trace, config = FlightTrace(), config_flags.load(speed=speed)
+        options: dict[str, Any] = {"seed": seed, "device": device, "trajectory": trajectory}
+        options |= {"config": config, "config_name": config_flags.name_of(config)}
         options |= flight_flags.options(config, lidar=lidar)
         world = world_flags.load(flight, seed=seed)
         with progress_bar(world.name, enabled=not json) as update_bar:

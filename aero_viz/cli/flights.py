@@ -82,13 +82,12 @@ def fly(
     from aero_viz.flight import fly as fly_once
 
     loaded = world_flags.load(world, seed=seed)
-    config = config_flags.load()
+    config = config_flags.load(speed=speed)
     options: dict[str, Any] = {
         "config": config,
-        "config_name": config_flags.name_of(config_flags.load(speed=speed)),
+        "config_name": config_flags.name_of(config),
         "seed": seed,
         "device": device,
-        "speed": speed,
         "trajectory": trajectory,
         **flight_flags.options(config, lidar=lidar),
     }
