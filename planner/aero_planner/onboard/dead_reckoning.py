@@ -150,6 +150,15 @@ class DeadReckoning:
         """Add the command that the drone obeys from `time` [s] on; None if it does not obey the node."""
         self._commands.append((time, None if command is None else np.array(command, dtype=np.float64)))
 
+    def forget_commands(self, time: float) -> None:
+        """Treat the commands from `time` [s] on as unknown, until the next one is added.
+
+        `time` must not be earlier than the newest command.
+        """
+        if self._commands and self._commands[-1][1] is not None:
+            self.add_command(time, None)
+            self._propagated = self._measured
+
     def at(self, time: float) -> MotionState | None:
         """Return the motion at `time` [s]; None before the first state.
 

@@ -303,6 +303,14 @@ def is_lost(inputs: Inputs, limits: LimitSettings) -> bool:
     return _has_any(LOST, inputs, limits)
 
 
+def must_wait_after_stall(inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if a loop that has stalled leaves the drone to those who brake in its place.
+
+    What arrived during the stall is not yet read, or the stall was too long to continue.
+    """
+    return any(cause_applies(cause, inputs, limits) for cause in (Cause.STATE_STALE, Cause.LOOP_TIMEOUT))
+
+
 def blind_time_left(inputs: Inputs, limits: LimitSettings) -> float:
     """Return the time until STATE_TIMEOUT or LINK_TIMEOUT applies [s].
 

@@ -23,7 +23,7 @@ from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
 from aero_planner.onboard.disturbance_estimate import DisturbanceEstimate
 from aero_planner.onboard.drift_correction import DriftCorrection
 from aero_planner.onboard.drift_monitor import DriftMonitor
-from aero_planner.onboard.failsafe_process import Failsafe
+from aero_planner.onboard.failsafe_process import Failsafe, takeover_time
 from aero_planner.onboard.failsafe_table import (
     AS_PLANNED,
     COMMANDING,
@@ -33,6 +33,7 @@ from aero_planner.onboard.failsafe_table import (
     State,
     is_inside_fence,
     is_lost,
+    must_wait_after_stall,
 )
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
@@ -104,6 +105,9 @@ class Node:
         self._observers = tuple(observers)
         self._failsafe = failsafe
         self._vehicle = planner.config.vehicle
+        self._period = 1.0 / config.rates.control
+        # Silence after which the failsafe process, too, has sent its last command.
+        self._replaced_time = takeover_time(config) + config.limits.blind_time + 2.0 * self._period
         self.schedule = PlanSchedule()
         self.ground = GroundTracker()
         self._replanner = Replanner(planner, config, self.schedule, clock)
@@ -119,7 +123,7 @@ class Node:
             link,
             self._stop_controller,
             self._vehicle,
-            period=1.0 / config.rates.control,
+            period=self._period,
             deadline=config.limits.deadline,
             blind_time=config.limits.blind_time,
             response=config.response,
@@ -136,7 +140,7 @@ class Node:
         self._threads = LoopThreads(self._loops, self._closing)
 
     def _make_loops(self) -> dict[str, PeriodicLoop]:
-        period, replan_period = 1.0 / self.config.rates.control, 1.0 / self.config.rates.replan
+        period, replan_period = self._period, 1.0 / self.config.rates.replan
         options: dict[str, Any] = dict(clock=self._clock, stopped=self._closing)
         return {
             "control": PeriodicLoop(period, self._run_control, **options),
@@ -189,12 +193,23 @@ class Node:
     # --- one step of each thread ---
 
     def control_once(self) -> Reaction:
-        """Read the inputs that have arrived, decide, and send a command; return the decision."""
+        """Read the inputs that have arrived, decide, and send a command; return the decision.
+
+        After a stall, it waits for a present vehicle state while the watchdog or the failsafe process brakes.
+        """
         now = self._clock()
         loop_age = self._watchdog.silence(now)
+        is_replaced = self._watchdog.braking or (self._failsafe is not None and self._failsafe.braking)
+        if is_replaced:
+            # What the watchdog or the failsafe process has commanded is not known here.
+            self._reckoning.forget_commands(now - loop_age + self._period)
         self._link.poll()
         self._read_state()
         inputs, motion = self._gather_inputs(now, loop_age)
+        if is_replaced and loop_age <= self._replaced_time and must_wait_after_stall(inputs, self.config.limits):
+            # Without a heartbeat of this loop, they continue.
+            self._read_points()
+            return self.safety.reaction
         reaction = self.safety.step(now, inputs)
         corrected = motion
         if motion is not None:

@@ -118,6 +118,22 @@ def test_a_drone_that_does_not_obey_moves_at_constant_velocity():
     np.testing.assert_allclose(found.velocity, [2.0, 0.0, 0.0])
 
 
+def test_forgotten_commands_leave_the_velocity_as_it_is():
+    reckoning = DeadReckoning(VEHICLE)
+    reckoning.correct(sample(MotionState(1.0, np.zeros(3), np.array([2.0, 0.0, 0.0]), tilted(0.5))))
+    reckoning.add_command(1.0, HOVER)
+    obeyed, later = reckoning.at(1.2), reckoning.at(1.5)
+    reckoning.forget_commands(1.2)
+    reckoning.forget_commands(1.2)
+    found = reckoning.at(1.5)
+    assert obeyed is not None and later is not None and found is not None
+    np.testing.assert_allclose(found.velocity, obeyed.velocity)
+    assert found.control is None and np.linalg.norm(later.velocity - obeyed.velocity) > 1.0
+    reckoning.add_command(1.5, HOVER)
+    continued = reckoning.at(1.6)
+    assert continued is not None and continued.control is not None
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_the_drone_comes_to_rest_from_any_attitude_and_holds(seed: int):
     rng = np.random.default_rng(seed)

@@ -83,6 +83,27 @@ def test_a_control_loop_that_comes_back_brakes_first_and_continues(flight: Simul
     assert flight.node.state is State.FLYING
 
 
+def test_a_control_loop_that_comes_back_waits_for_a_present_state_while_the_watchdog_brakes(flight: Simulation):
+    flight.control_alive, flight.link.frozen = False, True
+    flight.run(0.5)
+    flight.control_alive, count = True, len(flight.link.sent)
+    flight.run(5 * PERIOD)
+    assert len(flight.link.sent) == count + 5 and flight.node.state is State.FLYING
+    flight.link.frozen = False
+    flight.run(PERIOD)
+    assert flight.node.state is State.BRAKING and str(flight.node.changes[-1]).endswith("the control loop stalled")
+
+
+def test_a_control_loop_that_comes_back_without_any_state_hands_back_in_time(flight: Simulation):
+    flight.control_alive, flight.link.frozen = False, True
+    flight.run(0.5)
+    flight.control_alive = True
+    flight.run(flight.node.config.limits.deadline + flight.node.config.limits.blind_time)
+    # The last command is that of the watchdog, which the loop has waited for.
+    assert flight.node.state is State.HANDED_BACK
+    np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0])
+
+
 def test_a_control_loop_that_comes_back_too_late_stays_silent(flight: Simulation):
     flight.control_alive = False
     flight.run(flight.node.config.limits.deadline + flight.node.config.limits.blind_time + 0.1)
