@@ -6,10 +6,14 @@ Python ignores an exception that is raised while an object is finalized, such as
 flights, or in a callback of a weak reference. Before version 3.12, it replaces one that is raised in `__set_name__`, as
 while a module with dataclasses is imported, by a RuntimeError. An exception while a temporary folder or file is made or
 removed would leave it behind. A signal that arrives meanwhile is sent again a moment later.
+
+Python also remembers a KeyboardInterrupt that ends a text given to `exec`, as while a dataclass is made, and in the end
+kills the process by SIGINT although the exception was handled. Executing another text makes it forget.
 """
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -31,6 +35,8 @@ _terminals: list[int] = []
 def install_handler() -> None:
     """Handle SIGTERM, SIGHUP and Ctrl-C from now on. Does nothing outside of the main thread."""
     _received.clear()
+    atexit.unregister(_forget_handled_interrupt)
+    atexit.register(_forget_handled_interrupt)
     if threading.current_thread() is threading.main_thread():
         _terminals[:] = filter(os.isatty, (1, 2))
         signal.signal(signal.SIGTERM, _interrupt)
@@ -66,6 +72,10 @@ def leave_terminal() -> None:
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     for stream in _terminals:
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+
+
+def _forget_handled_interrupt() -> None:
+    exec("")
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:

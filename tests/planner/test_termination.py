@@ -60,6 +60,8 @@ try:
     del value
     if sys.argv[2] == "set_name":
         type("Owner", (), {"name": Named()})
+    elif sys.argv[2] == "exec":
+        exec("send()")
     time.sleep(20.0)
     print("lost")
 except KeyboardInterrupt:
@@ -69,7 +71,7 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize("place", ["del", "finalize", "WeakSet", "callback", "generator", "set_name"])
+@pytest.mark.parametrize("place", ["del", "finalize", "WeakSet", "callback", "generator", "set_name", "exec"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_python_would_ignore_or_replace_is_not_lost(number: signal.Signals, place: str):
     command = [sys.executable, "-c", PROGRAM, str(int(number)), place]
