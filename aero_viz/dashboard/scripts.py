@@ -1,4 +1,4 @@
-"""What viser's controls do not offer: scripts on the pages of visitors, and a wait for what a page draws."""
+"""Scripts that run on the pages of visitors, and a wait until a page has drawn, neither of which viser offers."""
 
 from __future__ import annotations
 

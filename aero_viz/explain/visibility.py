@@ -1,4 +1,4 @@
-"""When a place entered the cloud, and why not before: out of range, outside the view, occluded or forgotten."""
+"""Visibility of a place: when it entered the cloud, and what kept it out before: range, view, occlusion or memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which sweeps the cloud of a flight remembers."""
+"""Selection of the sweeps that the cloud of a flight remembers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moves around each drone, as the newest sweeps show it."""
+"""Moving obstacles around each drone, estimated from the newest sweeps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _Sizes(NamedTuple):
 
 
 class Motion:
-    """What moves around each drone.
+    """The moving obstacles around each drone.
 
     Args:
         inputs: inputs of the planner, which say when and where a sweep arrives if the caller does not.

@@ -23,7 +23,7 @@ def sweeps_within(memory: float, period: float) -> int:
 
 
 class Arrival(NamedTuple):
-    """When and where a sweep was complete."""
+    """Time and place at which a sweep was complete."""
 
     time: float
     """[s], on the clock of the states."""
@@ -79,7 +79,7 @@ class Sweeps:
 
     @property
     def arrivals(self) -> tuple[Arrival | None, ...]:
-        """When and where each sweep was complete; None where that is unknown."""
+        """Time and place at which each sweep was complete; None where that is unknown."""
         return self._arrivals
 
     @property

@@ -1,4 +1,4 @@
-"""What the drone sees at its height: space that is hidden behind surfaces, and space that it assumes to be free."""
+"""Layer of the view at the height of the drone: space that is hidden behind surfaces, and space assumed to be free."""
 
 from __future__ import annotations
 

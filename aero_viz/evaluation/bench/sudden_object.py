@@ -25,7 +25,7 @@ _REACTION = 3.0  # [s]; longer than any stop from 10 m/s
 
 @dataclass(frozen=True)
 class SuddenObject:
-    """When the object appears, and where."""
+    """An object that appears in front of a drone in flight."""
 
     run_up: float
     """Distance from the start at which it appears, by which the drone has reached its speed [m]."""

@@ -1,4 +1,4 @@
-"""Where a flight log is written: a path that ends in .mcap is a file, and any other one is a folder."""
+"""Location of a flight log: a path that ends in .mcap is a file, and any other one is a folder."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class ParameterChange:
 
 @dataclass(frozen=True)
 class WriteResult:
-    """What has become of parameters that were to be written."""
+    """Result of writing parameters."""
 
     unconfirmed: tuple[str, ...]
     """Names of those that the autopilot has not confirmed."""
