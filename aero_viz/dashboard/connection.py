@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -37,6 +38,8 @@ _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""
 _MESSAGES_IN_A_ROW = 16
 """Largest number of messages that are read from one client before the others get a turn."""
+_UNSENT_MAX = 32768
+"""Largest amount of data that waits in the kernel until the network takes it [bytes]; an update has about 40 kB."""
 _REMINDER_PERIOD = 5.0
 """Shortest time between two reminders that a visitor cannot change the page [s]."""
 
@@ -98,6 +101,16 @@ class PageConnection(ServerConnection):
         self._warned = False
         self._number: int | None = None
         """Number of this client in viser."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin to serve the client, and limit what waits for a slow network.
+
+        What the kernel has taken is sent, however old it is by then. What waits in viser is replaced by newer updates.
+        """
+        super().connection_made(transport)
+        client = transport.get_extra_info("socket")
+        if client is not None and hasattr(socket, "TCP_NOTSENT_LOWAT"):
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_MAX)
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that a page may send."""

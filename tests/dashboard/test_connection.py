@@ -1,9 +1,11 @@
 """Messages that a client may send, with real websockets: values of controls, uploads, and garbage."""
 
 import asyncio
+import socket
 import threading
 import time
 
+import numpy as np
 import pytest
 import viser
 from websockets.exceptions import InvalidStatus
@@ -233,3 +235,19 @@ def test_no_more_pages_are_open_at_once_than_there_is_room_for(server, client, m
     wait_for(lambda: len(server._websock_server._live_connections) == 1, "room")
     with join(server) as third:
         read_until(third, "AERO-Viz")
+
+
+@pytest.mark.skipif(not hasattr(socket, "TCP_NOTSENT_LOWAT"), reason="the system cannot limit what its kernel keeps")
+def test_a_client_behind_a_slow_network_misses_old_values_and_gets_the_newest(server):
+    text, points, colors = server.gui.add_markdown(""), np.zeros((8000, 3), np.float32), np.zeros(3, np.uint8)
+    with socket.socket() as network:
+        network.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 16_384)
+        network.connect((server.get_host(), server.get_port()))
+        with join(server, sock=network, max_queue=1) as client:
+            for number in range(40):  # 4 MB, which the kernel would take
+                with server.atomic():
+                    server.scene.add_point_cloud("/cloud", points, colors)
+                    text.content = f"update {number}."
+                time.sleep(0.02)
+            heard = read_until(client, "update 39.")
+    assert heard.count("update ") < 15
