@@ -258,9 +258,8 @@ def _share_on_surfaces(surface: NDArray[np.float64], points: NDArray[np.float64]
 
 
 def _airframe(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
-    sampled = _sampled(len(recording.sweep_times))
-    positions = poses.track.interpolate(recording.sweep_times[sampled])[0]
-    if len(sampled) < 5 or np.linalg.norm(np.ptp(positions, axis=0)) < _MOVED:
+    sampled = _sampled_on_the_way(poses.track.interpolate(recording.sweep_times)[0])
+    if len(sampled) < 5:
         return
     counts: dict[tuple[int, ...], int] = {}
     for index in sampled:
@@ -280,6 +279,20 @@ def _airframe(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
         f"mask the box from ({lower[0]:.2f}, {lower[1]:.2f}, {lower[2]:.2f}) to ({upper[0]:.2f}, {upper[1]:.2f}, "
         f"{upper[2]:.2f}) m: play with --mask {box}",
     )
+
+
+def _sampled_on_the_way(positions: NDArray[np.float64]) -> list[int]:
+    """Return sweeps at equal distances along the way of the body, none if it stays within `_MOVED`.
+
+    What is near a body at rest stays where it is in the body frame as the body itself does.
+
+    Args:
+        positions: positions of the sweeps [m], shape [n, 3].
+    """
+    if np.linalg.norm(np.ptp(positions, axis=0)) < _MOVED:
+        return []
+    way = np.append(0.0, np.linalg.norm(np.diff(positions, axis=0), axis=1).cumsum())
+    return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _SAMPLES))).tolist()
 
 
 def _offsets(estimate: Misalignment) -> Iterator[Finding]:

@@ -189,6 +189,18 @@ def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight):
     np.testing.assert_allclose(corners, np.concatenate(box), atol=0.06)
 
 
+def test_a_post_beside_which_the_drone_waits_is_not_part_of_it(mcap_of: Callable[[list[bags.Item]], Path]):
+    random = np.random.default_rng(0)
+    walls = np.column_stack([random.uniform(-4.0, 9.0, 400), random.choice([-3.0, 3.0], 400), random.uniform(0, 3, 400)])
+    post = np.column_stack([np.full(50, 0.6), np.full(50, 0.4), np.linspace(0.0, 3.0, 50)])
+    items: list[bags.Item] = []
+    for k in range(60):
+        time, position = 0.1 * k, np.array([0.15 * max(k - 40, 0), 0.0, 1.5])
+        points = (np.vstack([walls, post]) - position).astype(np.float32)
+        items += [bags.cloud(time, bags.xyz(points)), bags.odometry(time, position)]
+    assert "airframe" not in codes(mcap_of(items))
+
+
 def test_poses_that_jump(build: Build, flight: Flight):
     jumped = flight.positions + np.outer(flight.times > 2.0, [0.0, 1.5, 0.0])
     evidence = findings(build(positions=jumped))["pose-jumps"].evidence
