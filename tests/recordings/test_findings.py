@@ -191,7 +191,9 @@ def test_the_airframe_in_view_is_boxed(build: Build, flight: Flight):
 
 def test_a_post_beside_which_the_drone_waits_is_not_part_of_it(mcap_of: Callable[[list[bags.Item]], Path]):
     random = np.random.default_rng(0)
-    walls = np.column_stack([random.uniform(-4.0, 9.0, 400), random.choice([-3.0, 3.0], 400), random.uniform(0, 3, 400)])
+    walls = np.column_stack(
+        [random.uniform(-4.0, 9.0, 400), random.choice([-3.0, 3.0], 400), random.uniform(0, 3, 400)]
+    )
     post = np.column_stack([np.full(50, 0.6), np.full(50, 0.4), np.linspace(0.0, 3.0, 50)])
     items: list[bags.Item] = []
     for k in range(60):
