@@ -51,6 +51,36 @@ _SCRIPT = """
 </script>
 """
 
+REWOUND = "window.aeroRewound?.()"
+"""Script that a recording runs before all else: a page that goes back in time takes it from the start."""
+_DRAW_AGAIN = """
+<script>
+(() => {
+  const request = window.requestAnimationFrame.bind(window), cancel = window.cancelAnimationFrame.bind(window);
+  const waiting = new Map();
+  let isRewound = false;
+  const drawNow = (time) => {
+    if (!isRewound) return;
+    isRewound = false;
+    for (const [id, draw] of [...waiting]) { window.cancelAnimationFrame(id); draw(time); }
+  };
+  window.aeroRewound = () => { isRewound = true; };
+  window.requestAnimationFrame = (draw) => {
+    const id = request((time) => { waiting.delete(id); draw(time); });
+    waiting.set(id, draw);
+    request(drawNow);
+    return id;
+  };
+  window.cancelAnimationFrame = (id) => { waiting.delete(id); cancel(id); };
+})();
+</script>
+"""
+"""Script that draws a picture again before it is shown, where the page has just gone back in time.
+
+viser moves nodes before it draws, but replaces lines and points only afterwards. Without the script, the first picture
+after a jump would show the plan and the trail of the time before it.
+"""
+
 
 def page(
     client: str,
@@ -78,7 +108,7 @@ def page(
     rows = json.dumps(np.round(figures, 3).tolist(), separators=(",", ":"))
     script = _SCRIPT.replace("__ROWS__", rows).replace("__WIDTH__", str(_WIDTH))
     panel = _panel(figures, name=name, ending=ending, command=command, legend=legend)
-    return client[: head[0]] + title + client[head[1] : body] + _STYLE + panel + script + client[body:]
+    return client[: head[0]] + title + client[head[1] : body] + _DRAW_AGAIN + _STYLE + panel + script + client[body:]
 
 
 def _panel(

@@ -12,7 +12,9 @@ from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_entries
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
+from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.dashboard.share.page import REWOUND
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame
 
@@ -60,6 +62,7 @@ class SceneRecording:
         self._last: Frame | None = None
         self._cloud_due = -np.inf
         self._started = 0.0
+        run_script(self._server, REWOUND)
         self._serializer = self._server.get_scene_serializer()
 
     @property
