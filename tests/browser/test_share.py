@@ -76,6 +76,17 @@ def test_a_shared_page_plays_and_goes_to_any_time_from_disk_without_a_network(br
     page.context.close()
 
 
+def test_the_legend_of_a_shared_page_has_the_costs_of_the_time_that_is_shown(browser, shared):
+    page = open_offline(browser, shared)
+    worst = page.locator("#aero .aero-low").first
+    texts = []
+    for time_s in (0.2, 0.9, 0.2):
+        picture(page, time_s)
+        texts.append(worst.text_content())
+    assert texts[0] == texts[2] != texts[1] and str(texts[0]).startswith("worst: ")
+    page.context.close()
+
+
 RECORD_PICTURES = """
 () => {
   const request = window.requestAnimationFrame.bind(window), canvas = document.querySelector("canvas[data-engine]");

@@ -223,7 +223,7 @@ def _write_page(frames: Iterable[Frame], path: Path, *, command: str, layers: Se
             name=frame.source.name,
             ending=ending(frame),
             command=command,
-            legend=recording.legend(),
+            legend=recording.legend,
         )
         path.write_text(content, encoding="utf-8")
         return recording.duration
