@@ -26,6 +26,7 @@ from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.study import StudyPanel
+from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
@@ -107,4 +108,4 @@ def build(
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
-    return camera, [*panels, camera, appearance, ShortcutPanel(page, actions)]
+    return camera, [*panels, camera, appearance, TitlePanel(page), ShortcutPanel(page, actions)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.panels import markup
+from aero_viz.dashboard.panels.title import title
 from aero_viz.dashboard.share.legend import RecordedLegend
 
 COLUMNS = ("time", "speed", "clearance")
@@ -104,13 +105,13 @@ def page(
     """
     body = client.index("<body")
     body = client.index(">", body) + 1
-    title = f"<title>{markup.text(name)} - AERO-Viz</title>"
     head = client.index("<title>"), client.index("</title>") + len("</title>")
     rows = json.dumps(np.round(figures, 3).tolist(), separators=(",", ":"))
     ends = json.dumps(legend.ends, separators=(",", ":"))
     script = _SCRIPT.replace("__ROWS__", rows).replace("__ENDS__", ends).replace("__WIDTH__", str(_WIDTH))
     panel = _panel(figures, name=name, ending=ending, command=command, legend=legend)
-    return client[: head[0]] + title + client[head[1] : body] + _DRAW_AGAIN + _STYLE + panel + script + client[body:]
+    titled = f"{client[: head[0]]}<title>{markup.text(title(name))}</title>{client[head[1] : body]}"
+    return titled + _DRAW_AGAIN + _STYLE + panel + script + client[body:]
 
 
 def _panel(figures: NDArray[np.float64], *, name: str, ending: str, command: str, legend: RecordedLegend) -> str:
