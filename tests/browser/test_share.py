@@ -68,6 +68,8 @@ def test_a_shared_page_plays_and_goes_to_any_time_from_disk_without_a_network(br
     while not goes_and_returns():  # the page may still draw what it showed before
         assert time.monotonic() < deadline
     assert page.locator("#aero").inner_text().startswith("forest")
+    speed = page.locator(".mantine-Select-input")
+    assert speed.evaluate("e => e.value === '1x' && e.scrollWidth <= e.clientWidth"), "the speed is not cut"
     assert "--seed 3" in (page.locator("#aero code").text_content() or "")
     page.locator(".mantine-NumberInput-input").blur()  # Space in the field is typed
     page.keyboard.press("Space")

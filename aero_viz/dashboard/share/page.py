@@ -23,6 +23,7 @@ background:rgba(18,23,32,.82);font:12px/1.45 system-ui,sans-serif;font-variant-n
 #aero b{{font-size:14px}} #aero code{{word-break:break-word;color:#9fb0c8}}
 #aero summary{{cursor:pointer;margin-top:6px}}
 #aero svg{{display:block;margin:2px 0 6px}} #aero .muted{{color:{palette.css(palette.MUTED)}}}
+.mantine-Select-wrapper{{width:4.6em!important}}
 @media (max-width:700px){{#aero{{width:200px;transform:scale(.85);transform-origin:100% 0}}}}
 </style>
 """
