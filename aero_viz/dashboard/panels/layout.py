@@ -18,6 +18,7 @@ from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
+from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
@@ -73,7 +74,7 @@ def build(
                 panels.append(sources)
             if files is not None:
                 with gui.add_folder("Share", expand_by_default=False):
-                    panels.append(SharePanel(page, controls, sources, files))
+                    panels += [copies := PageCopies(page, camera), SharePanel(page, controls, sources, files, copies)]
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))

@@ -18,8 +18,10 @@ from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link, Opening
+from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import notify
@@ -36,7 +38,7 @@ _log = logging.getLogger(__name__)
 _KINDS = {
     "Web page": (".html", viser.Icon.WORLD, "The flight so far as one file that plays in any browser, offline."),
     "Video": (".mp4", viser.Icon.MOVIE, "The flight so far as a video. Takes a minute or more."),
-    "Picture": (".png", viser.Icon.PHOTO, "This moment, with the panels."),
+    "Picture": (".png", viser.Icon.PHOTO, "This moment as you see it, with the panels."),
     "Log": (".mcap", viser.Icon.FILE_DOWNLOAD, "The flight so far for play, Foxglove, RViz and others."),
 }
 Ticks = Sequence[tuple[Checkpoint, PlannerConfig]]
@@ -82,7 +84,7 @@ class Files(Protocol):
     ) -> None:
         """Write frames to a file, in the format that the suffix of its name selects."""
 
-    def picture(self, url: str) -> bytes:
+    def picture(self, url: str, view: PageView) -> bytes:
         """Return a picture of the page at an address as PNG."""
         ...
 
@@ -94,8 +96,10 @@ class SharePanel(Panel):
     file as they were.
     """
 
-    def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files) -> None:
-        self._controls, self._sources, self._files = controls, sources, files
+    def __init__(
+        self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files, copies: PageCopies
+    ) -> None:
+        self._controls, self._sources, self._files, self._copies = controls, sources, files, copies
         self._busy = threading.Lock()
         self._closing = threading.Event()
         self._writing: threading.Thread | None = None
@@ -177,7 +181,7 @@ class SharePanel(Panel):
         notification = client.add_notification("AERO-Viz", "Writing the file ..", loading=True, with_close_button=False)
         opening = self._sources.opening  # another source may be opened while the file is written
         try:
-            content = self._content(suffix, opening, notification)
+            content = self._picture(client) if suffix == ".png" else self._content(suffix, opening, notification)
             client.send_file_download(Path(opening.spec).stem + suffix, content, save_immediately=True)
         except (UserError, CancelledError) as error:
             notify(self.page.server, str(error) or "The session was closed.", level="error", client=client)
@@ -189,9 +193,12 @@ class SharePanel(Panel):
             with contextlib.suppress(Exception):  # the page may be closed
                 notification.remove()
 
+    def _picture(self, client: viser.ClientHandle) -> bytes:
+        """Return a picture of what a visitor sees, from a copy of the visitor's page."""
+        with self._copies.copy(client) as view:
+            return self._files.picture(self.page.server.link(view_only=True), view)
+
     def _content(self, suffix: str, opening: Opening, notification: viser.NotificationHandle) -> bytes:
-        if suffix == ".png":
-            return self._files.picture(self.page.server.link(view_only=True))
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
         ticks, frame = self._controls.flown().result(), self.session.frame
         if frame is None or not ticks:
