@@ -126,8 +126,28 @@ def test_a_video_is_given_up_when_the_server_ends(fresh_desk, monkeypatch, tmp_p
     desk.session.step(40).result()
     desk.open_folder("Share", "Video")
     desk.click("Video")
-    desk.page.get_by_text(re.compile(r"Writing the file .. \d")).wait_for()
+    desk.page.get_by_text(re.compile(r"Video: \d\.\d of 1\.0 s")).first.wait_for()
     desk.wait_for(lambda: bool(list(tmp_path.rglob("*.mp4*"))), "the first picture of the video")
     desk.dashboard.close()
     assert "aero-viz-share" not in {thread.name for thread in threading.enumerate()}
     assert not list(tmp_path.rglob("*.mp4*"))
+
+
+def test_a_video_says_how_much_of_it_is_written_and_is_given_up_by_a_button(restored_desk, monkeypatch, tmp_path):
+    desk = restored_desk
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    desk.session.step(90).result()
+    desk.open_folder("Share", "Video")
+    desk.click("Video")
+    desk.page.get_by_text(re.compile(r"^Video: \d\.\d of 2\.0 s written \(\d+ %\)$")).first.wait_for()
+    assert list(tmp_path.rglob("*.mp4*"))
+    desk.page.get_by_text("No other file can be written until").wait_for()
+    desk.click("Log")
+    refusal = desk.refusal("wait until it is done, or cancel it")
+    refusal.wait_for()
+    desk.dismiss(refusal)
+    desk.click("Cancel writing")
+    desk.page.get_by_text("Video was not written, since that was cancelled.").wait_for()
+    assert not list(tmp_path.rglob("*.mp4*"))
+    desk.page.get_by_role("button", name="Cancel writing").wait_for(state="hidden")
+    assert desk.download("Log", tmp_path).suffix == ".mcap", "another file can be written"
