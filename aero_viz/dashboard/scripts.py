@@ -14,9 +14,13 @@ _PICTURES = 3
 """Pictures that a page draws until one shows what was sent: messages wait for the next one, nodes for another."""
 
 
-def run_script(client: viser.ClientHandle, source: str) -> None:
-    """Run JavaScript on a visitor's page. Texts in it must go through `json.dumps`."""
-    client._websock_connection.queue_message(_messages.RunJavascriptMessage(source))
+def run_script(target: viser.ClientHandle | viser.ViserServer, source: str) -> None:
+    """Run JavaScript on a visitor's page, or on those of all visitors, later ones too.
+
+    Texts in it must go through `json.dumps`.
+    """
+    sender = target._websock_server if isinstance(target, viser.ViserServer) else target._websock_connection
+    sender.queue_message(_messages.RunJavascriptMessage(source))
 
 
 def wait_until_drawn(client: viser.ClientHandle) -> None:

@@ -40,6 +40,7 @@ _QUEUED_FRAMES = 2
 
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
 _SECTION = '.mantine-Tabs-root[style*="border-top"]'
+_SHEET = '.mantine-Paper-root[style*="max-height: 60%"]'
 _STYLE = "".join(
     (
         ':root[data-mantine-color-scheme="dark"]{',
@@ -56,6 +57,8 @@ _STYLE = "".join(
         # The line about the visitors, and the button that takes control.
         ".mantine-ScrollArea-content:has(.aero-visitors){--aero-visitors:3rem}",
         ".mantine-ScrollArea-content:has(.aero-take-control){--aero-visitors:5rem}",
+        # The thumb at an end of a slider leaves the number below it visible.
+        ".mantine-Slider-markLabel{translate:0 0.2rem}",
         # All tabs fit in one row without their icons.
         ".mantine-ScrollArea-content [role=tab]>:has(svg){display:none!important}",
         ".mantine-ScrollArea-content [role=tab]{padding:0 0.8em!important;min-height:2.3em!important}",
@@ -63,11 +66,13 @@ _STYLE = "".join(
         f".mantine-Flex-root:has(>div>{_INPUT},>div>div>{_INPUT})>div:first-child{{width:13em!important}}",
         # The floating panel stays beside the docked one. On a phone, the controls are a sheet below the drone.
         '.mantine-Paper-root[style*="position: absolute"]{max-width:calc(100vw - 384px)}',
-        '@media(max-width:36em){.mantine-Paper-root[style*="max-height: 60%"]'
-        "{width:100%!important;max-height:40%!important}"
+        f"@media(max-width:36em){{{_SHEET}{{width:100%!important;max-height:40%!important}}"
         '.mantine-ScrollArea-content>[style="width: 20em;"]{width:100%!important}'
         # The status is a section of that sheet, which viser puts below all controls: it comes first instead.
-        f":has(>div>{_SECTION}){{display:flex;flex-direction:column}}:has(>{_SECTION}){{order:-1}}}}",
+        f":has(>div>{_SECTION}){{display:flex;flex-direction:column}}:has(>{_SECTION}){{order:-1}}"
+        # While the sheet is open, the scene fills the rest of the page, so that the drone is in its middle.
+        f"body:has({_SHEET} .mantine-ScrollArea-content>div>[aria-hidden=false])"
+        " div:has(>div>div>div>canvas[data-engine]){bottom:40%!important}}",
         # A slider without a label belongs to the number field above it: it takes the whole row and has no number.
         "div:has(>.mantine-Text-root>label:empty){display:none}",
         "div:has(>.mantine-Flex-root>div>.mantine-Text-root>label:empty){padding-bottom:1.1em!important}",

@@ -17,6 +17,7 @@ class Visitors:
         """Called after a visitor has come, gone or taken control."""
         self._may_control: dict[int, bool] = {}
         """By the number of the client in viser, in the order of arrival."""
+        self._excluded: set[int] = set()
         self._holder: int | None = None
         self._lock = threading.Lock()
 
@@ -33,16 +34,29 @@ class Visitors:
         """Return True if a visitor holds control or may take it."""
         return self._may_control.get(number, False)
 
+    def is_present(self, number: int) -> bool:
+        """Return True if a visitor has joined and not left."""
+        return number in self._may_control
+
     def join(self, number: int, *, may_control: bool) -> None:
         """Add a visitor who has not joined yet."""
-        if number not in self._may_control:
+        if number not in self._may_control and number not in self._excluded:
             with self._lock:
                 self._may_control[number] = may_control
                 self._appoint()
             self.on_change()
 
+    def exclude(self, number: int) -> None:
+        """Remove a page that belongs to no person, and does not join again."""
+        self._excluded.add(number)
+        self._remove(number)
+
     def leave(self, number: int) -> None:
         """Remove a visitor."""
+        self._excluded.discard(number)
+        self._remove(number)
+
+    def _remove(self, number: int) -> None:
         if number in self._may_control:
             with self._lock:
                 self._may_control = {other: may for other, may in self._may_control.items() if other != number}

@@ -99,7 +99,7 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     if not gaps or gaps[number] > 1e-4:
         facts.append(("measured", "never: the continuation of a surface past the field of view"))
     else:
-        facts.append(("sweep", f"{number + 1} of {len(sweeps)}, the last is the newest"))
+        facts.append(("sweep", f"{number + 1} of {len(sweeps)}, counted from the oldest"))
         if seen.sweep_times is not None and len(seen.sweep_times) == len(sweeps):
             facts.append(("age", f"{seen.time - seen.sweep_times[number]:.2f} s since the end of that sweep"))
         else:

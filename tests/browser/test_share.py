@@ -1,5 +1,6 @@
 """Flights as files: the page from disk without a network, the video, and mistakes."""
 
+import base64
 import io
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -67,11 +68,63 @@ def test_a_shared_page_plays_and_goes_to_any_time_from_disk_without_a_network(br
     while not goes_and_returns():  # the page may still draw what it showed before
         assert time.monotonic() < deadline
     assert page.locator("#aero").inner_text().startswith("forest")
+    speed = page.locator(".mantine-Select-input")
+    assert speed.evaluate("e => e.value === '1x' && e.scrollWidth <= e.clientWidth"), "the speed is not cut"
     assert "--seed 3" in (page.locator("#aero code").text_content() or "")
     page.locator(".mantine-NumberInput-input").blur()  # Space in the field is typed
     page.keyboard.press("Space")
     before = page.locator("#aero-time").inner_text()
     page.wait_for_function("before => document.getElementById('aero-time').textContent != before", arg=before)
+    page.context.close()
+
+
+def test_the_legend_of_a_shared_page_has_the_costs_of_the_time_that_is_shown(browser, shared):
+    page = open_offline(browser, shared)
+    worst = page.locator("#aero .aero-low").first
+    texts = []
+    for time_s in (0.2, 0.9, 0.2):
+        picture(page, time_s)
+        texts.append(worst.text_content())
+    assert texts[0] == texts[2] != texts[1] and str(texts[0]).startswith("worst: ")
+    page.context.close()
+
+
+RECORD_PICTURES = """
+() => {
+  const request = window.requestAnimationFrame.bind(window), canvas = document.querySelector("canvas[data-engine]");
+  const copy = Object.assign(document.createElement("canvas"), {width: 320, height: 180});
+  window.pictures = new Map();
+  window.requestAnimationFrame = (draw) => request((time) => {
+    draw(time);
+    copy.getContext("2d").drawImage(canvas, 0, 0, copy.width, copy.height);
+    window.pictures.set(time, copy.toDataURL());
+  });
+}
+"""
+"""Script that keeps what the scene shows at the end of each animation frame."""
+
+
+def shown_pictures(page: Page) -> list[np.ndarray]:
+    """All pictures of the scene since `RECORD_PICTURES`."""
+    urls = page.evaluate("() => [...window.pictures.values()]")
+    return [iio.imread(base64.b64decode(url.partition(",")[2]))[..., :3] for url in urls]
+
+
+def test_no_picture_after_a_jump_back_shows_lines_of_another_time(browser, shared):
+    page = open_offline(browser, shared)
+    page.locator("canvas[data-engine]").wait_for()
+    page.evaluate(RECORD_PICTURES)
+    picture(page, 0.9)
+    page.wait_for_function("window.pictures.size > 1")
+    page.wait_for_timeout(500)
+    page.evaluate("() => { const last = [...window.pictures].at(-1); window.pictures = new Map([last]); }")
+    picture(page, 0.1)
+    page.wait_for_timeout(1000)
+    pictures = shown_pictures(page)
+    before, after = pictures[0], pictures[-1]
+    assert differing(before, after) > 100, "the jump"
+    mixed = [min(differing(shown, before), differing(shown, after)) for shown in pictures]
+    assert max(mixed) < 50
     page.context.close()
 
 

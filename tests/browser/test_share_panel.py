@@ -11,8 +11,8 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.links import Link
 from aero_viz.dashboard.share import FlightFiles
 from aero_viz.flight.known_drone import config_for_flight
-from tests.browser.desk import TIMEOUT
-from tests.browser.pictures import count
+from tests.browser.desk import LEFT, RIGHT, TIMEOUT
+from tests.browser.pictures import count, differing
 
 
 def test_the_flight_so_far_is_downloaded_as_a_page_with_what_was_changed(restored_desk, tmp_path):
@@ -53,16 +53,33 @@ def test_a_file_has_the_name_of_its_flight_if_another_one_is_opened_meanwhile(re
     assert download.value.suggested_filename == "forest.mcap"
 
 
-def test_the_picture_shows_the_scene_and_the_panels(restored_desk, tmp_path):
+def test_the_picture_shows_what_the_visitor_sees(restored_desk, tmp_path):
     desk = restored_desk
     desk.dashboard.show_only(["drone", "rollouts"])
+    desk.click("top")
+    desk.open_tab("Layers")
+    desk.checkbox("Drone").uncheck()
+    desk.page.get_by_role("tab", name="Legend").click()
+    desk.open_tab("Fly")
     desk.open_folder("Share", "Picture")
     path = desk.download("Picture", tmp_path)
-    image = iio.imread(path)
-    height, width = image.shape[:2]
-    assert path.suffix == ".png" and width >= 1280 and height >= 720
-    assert count(image[:, : width - 400], palette.CHOSEN) > 50, "the chosen rollout"
-    assert count(image[:, width - 350 :], palette.PANEL[7]) > 0.3 * 350 * height, "the panel"
+    desk.wait_for(lambda: desk.dashboard.server.visitors.count == 1, "the page of the picture to leave")
+    desk.wait_for(lambda: desk.page.locator(".mantine-Notification-root").count() == 0, "no notifications")
+    desk.settled_screenshot()
+    shown, image = iio.imread(desk.page.screenshot())[..., :3], iio.imread(path)[..., :3]
+    desk.page.get_by_role("tab", name="Planner").click()
+    assert image.shape == shown.shape, "the size of the page"
+    np.testing.assert_allclose(chosen_rollout(image), chosen_rollout(shown), atol=6.0, err_msg="the camera")
+    assert count(image[:, LEFT:-RIGHT], palette.DRONE) < 20, "the hidden drone"
+    legend, header = (slice(400, 600), slice(0, LEFT)), (slice(0, 250), slice(-RIGHT, None))
+    for panel in (legend, header):  # the tab, and no line about visitors
+        assert differing(image[panel], shown[panel]) < 200
+
+
+def chosen_rollout(image: np.ndarray) -> np.ndarray:
+    """Mean pixel of the chosen rollout, outside the panels, shape [2]."""
+    near = np.abs(image[:350, :-RIGHT].astype(int) - palette.CHOSEN).max(axis=-1) <= 40
+    return np.argwhere(near).mean(axis=0)
 
 
 def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restored_desk):
@@ -109,8 +126,28 @@ def test_a_video_is_given_up_when_the_server_ends(fresh_desk, monkeypatch, tmp_p
     desk.session.step(40).result()
     desk.open_folder("Share", "Video")
     desk.click("Video")
-    desk.page.get_by_text(re.compile(r"Writing the file .. \d")).wait_for()
+    desk.page.get_by_text(re.compile(r"Video: \d\.\d of 1\.0 s")).first.wait_for()
     desk.wait_for(lambda: bool(list(tmp_path.rglob("*.mp4*"))), "the first picture of the video")
     desk.dashboard.close()
     assert "aero-viz-share" not in {thread.name for thread in threading.enumerate()}
     assert not list(tmp_path.rglob("*.mp4*"))
+
+
+def test_a_video_says_how_much_of_it_is_written_and_is_given_up_by_a_button(restored_desk, monkeypatch, tmp_path):
+    desk = restored_desk
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    desk.session.step(90).result()
+    desk.open_folder("Share", "Video")
+    desk.click("Video")
+    desk.page.get_by_text(re.compile(r"^Video: \d\.\d of 2\.0 s written \(\d+ %\)$")).first.wait_for()
+    assert list(tmp_path.rglob("*.mp4*"))
+    desk.page.get_by_text("No other file can be written until").wait_for()
+    desk.click("Log")
+    refusal = desk.refusal("wait until it is done, or cancel it")
+    refusal.wait_for()
+    desk.dismiss(refusal)
+    desk.click("Cancel writing")
+    desk.page.get_by_text("Video was not written, since that was cancelled.").wait_for()
+    assert not list(tmp_path.rglob("*.mp4*"))
+    desk.page.get_by_role("button", name="Cancel writing").wait_for(state="hidden")
+    assert desk.download("Log", tmp_path).suffix == ".mcap", "another file can be written"

@@ -88,7 +88,7 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(r
     resize(480)
     assert box("Fly")["width"] == 480
     place = desk.place_on_page(desk.session.frame.observation.state.position)
-    assert place[1] < box("Fly")["y"], "the drone is above the controls"
+    assert 0.3 < place[1] / box("Fly")["y"] < 0.7, "the drone is in the middle of what is above the controls"
     tab = desk.page.get_by_role("tab", name="Fly").bounding_box() or {}
     assert tab["height"] >= 24.0, "a finger can hit a tab"
     camera = desk.page.get_by_role("button", name="follow", exact=True).bounding_box() or {}
@@ -97,6 +97,17 @@ def test_panels_stay_apart_while_the_window_shrinks_to_a_phone_and_grows_again(r
     rows = {tab.bounding_box()["y"] for tab in desk.page.locator(".mantine-ScrollArea-content [role=tab]").all()}
     assert len(rows) == 1, "all tabs of the controls are in one row"
     desk.page.set_viewport_size({"width": 1000, "height": 600})
+
+
+def test_the_thumb_of_a_slider_covers_no_number(restored_desk):
+    row = restored_desk.control("Time [s]")
+    thumb, number = row.get_by_role("slider"), row.locator(".mantine-Slider-markLabel").last
+    thumb.press("End")
+    bottom = restored_desk.settled(lambda: (thumb.bounding_box() or {})["y"], "the thumb") + thumb.evaluate(
+        "e => e.offsetHeight"
+    )
+    ink = (number.bounding_box() or {})["y"] + 0.2 * number.evaluate("e => e.offsetHeight")
+    assert ink >= bottom, "the line is taller than its digits"
 
 
 def test_the_status_is_above_the_controls_of_a_phone_and_shown_by_one_tap(restored_desk):

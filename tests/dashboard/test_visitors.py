@@ -41,6 +41,18 @@ def test_a_view_only_visitor_never_gets_control():
     assert not visitors.take_control(99)
 
 
+def test_a_page_that_belongs_to_no_person_is_not_counted():
+    visitors = Visitors()
+    for number in (1, 2):
+        visitors.join(number, may_control=True)
+    visitors.exclude(2)
+    visitors.join(2, may_control=True)
+    assert visitors.count == 1 and not visitors.is_present(2) and not visitors.take_control(2)
+    visitors.leave(2)
+    visitors.join(2, may_control=True)
+    assert visitors.is_present(2), "the number of another page"
+
+
 @pytest.fixture
 def pair(server: LocalServer) -> Iterator[tuple[Any, Any]]:
     """Two clients, the first of which has control."""

@@ -142,6 +142,20 @@ class CameraPanel(Panel):
             self._settled[number] = -np.inf
         self.page.refresh()
 
+    def copy(self, original: viser.ClientHandle, client: viser.ClientHandle) -> None:
+        """Give the camera of one visitor the mode and the place of another's."""
+        number, seen = client.client_id, original.camera
+        self._modes[number] = mode = self._mode(original.client_id)
+        self._settled[number] = -np.inf
+        if (target := self._targets.get(original.client_id)) is not None:
+            self._targets[number] = target
+        if (mark := self._marks.get(number)) is not None:
+            mark.content = _mark(mode)
+        with client.atomic():
+            client.camera.up_direction = seen.up_direction
+            client.camera.position = seen.position
+            client.camera.look_at = seen.look_at
+
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._settled.clear()
         return []

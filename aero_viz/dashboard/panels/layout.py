@@ -18,6 +18,7 @@ from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
+from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
@@ -26,6 +27,7 @@ from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.study import StudyPanel
+from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
@@ -72,7 +74,7 @@ def build(
                 panels.append(sources)
             if files is not None:
                 with gui.add_folder("Share", expand_by_default=False):
-                    panels.append(SharePanel(page, controls, sources, files))
+                    panels += [copies := PageCopies(page, camera), SharePanel(page, controls, sources, files, copies)]
         if controls is not None:
             with gui.add_folder("Goal"):
                 panels.append(GoalPanel(page, controls))
@@ -107,4 +109,4 @@ def build(
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
-    return camera, [*panels, camera, appearance, ShortcutPanel(page, actions)]
+    return camera, [*panels, camera, appearance, TitlePanel(page), ShortcutPanel(page, actions)]

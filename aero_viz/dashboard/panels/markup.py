@@ -145,7 +145,7 @@ def scale(label: str, low: str, high: str, colormap: palette.Colormap) -> str:
     return (
         f'<div style="font-size:11px">{muted(label)}<div style="height:7px;border-radius:3px;margin:2px 0;'
         f'background:{palette.gradient(colormap)}"></div><div style="display:flex;justify-content:space-between">'
-        f"<span>{text(low)}</span><span>{text(high)}</span></div></div>"
+        f'<span class="aero-low">{text(low)}</span><span class="aero-high">{text(high)}</span></div></div>'
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import logging
 import tempfile
@@ -18,8 +17,11 @@ from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link, Opening
+from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.file_progress import FileProgress
+from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import notify
@@ -36,7 +38,7 @@ _log = logging.getLogger(__name__)
 _KINDS = {
     "Web page": (".html", viser.Icon.WORLD, "The flight so far as one file that plays in any browser, offline."),
     "Video": (".mp4", viser.Icon.MOVIE, "The flight so far as a video. Takes a minute or more."),
-    "Picture": (".png", viser.Icon.PHOTO, "This moment, with the panels."),
+    "Picture": (".png", viser.Icon.PHOTO, "This moment as you see it, with the panels."),
     "Log": (".mcap", viser.Icon.FILE_DOWNLOAD, "The flight so far for play, Foxglove, RViz and others."),
 }
 Ticks = Sequence[tuple[Checkpoint, PlannerConfig]]
@@ -82,7 +84,7 @@ class Files(Protocol):
     ) -> None:
         """Write frames to a file, in the format that the suffix of its name selects."""
 
-    def picture(self, url: str) -> bytes:
+    def picture(self, url: str, view: PageView) -> bytes:
         """Return a picture of the page at an address as PNG."""
         ...
 
@@ -94,22 +96,25 @@ class SharePanel(Panel):
     file as they were.
     """
 
-    def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files) -> None:
-        self._controls, self._sources, self._files = controls, sources, files
+    def __init__(
+        self, page: Page, controls: SessionControls, sources: SourcePanel, files: Files, copies: PageCopies
+    ) -> None:
+        self._controls, self._sources, self._files, self._copies = controls, sources, files, copies
         self._busy = threading.Lock()
-        self._closing = threading.Event()
         self._writing: threading.Thread | None = None
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        for label, (suffix, icon, hint) in _KINDS.items():
+        for label, kind in _KINDS.items():
+            icon, hint = kind[1:]
             button = gui.add_button(label, icon=icon, color="gray", hint=hint)
 
             @button.on_click
-            async def _(event: viser.GuiEvent, suffix: str = suffix) -> None:
+            async def _(event: viser.GuiEvent, label: str = label) -> None:
                 if event.client is not None:
-                    self._start(suffix, event.client)
+                    self._start(label, event.client)
 
+        self._progress = FileProgress(gui)
         self._link = gui.add_text("Link", "", disabled=True, hint="Opens this source, seed, time and configuration.")
         copy = gui.add_button("Copy link", icon=viser.Icon.LINK, color="gray", hint="Copy the link to this moment.")
 
@@ -128,7 +133,7 @@ class SharePanel(Panel):
 
     def close(self) -> None:
         """Give up the file that is being written, and wait a little until its temporary files are gone."""
-        self._closing.set()
+        self._progress.cancel()
         if self._writing is not None:
             self._writing.join(_CLOSE_TIMEOUT)
 
@@ -166,54 +171,64 @@ class SharePanel(Panel):
             action=lambda: self._sources.open_link(link, client),
         )
 
-    def _start(self, suffix: str, client: viser.ClientHandle) -> None:
+    def _start(self, label: str, client: viser.ClientHandle) -> None:
         if not self._busy.acquire(blocking=False):
-            notify(self.page.server, "A file is being written; wait until it is done.", level="error", client=client)
+            text = "A file is being written; wait until it is done, or cancel it."
+            notify(self.page.server, text, level="error", client=client)
             return
-        self._writing = threading.Thread(target=self._write, args=(suffix, client), name="aero-viz-share", daemon=True)
+        self._writing = threading.Thread(target=self._write, args=(label, client), name="aero-viz-share", daemon=True)
         self._writing.start()
 
-    def _write(self, suffix: str, client: viser.ClientHandle) -> None:
-        notification = client.add_notification("AERO-Viz", "Writing the file ..", loading=True, with_close_button=False)
+    def _write(self, label: str, client: viser.ClientHandle) -> None:
         opening = self._sources.opening  # another source may be opened while the file is written
         try:
-            content = self._content(suffix, opening, notification)
-            client.send_file_download(Path(opening.spec).stem + suffix, content, save_immediately=True)
-        except (UserError, CancelledError) as error:
-            notify(self.page.server, str(error) or "The session was closed.", level="error", client=client)
+            with self._progress.show(label, client):
+                content = self._picture(client) if label == "Picture" else self._content(label, opening)
+                self._progress.check()
+            name = Path(opening.spec).stem + _KINDS[label][0]
+            client.send_file_download(name, content, save_immediately=True)
+        except CancelledError as error:
+            notify(self.page.server, str(error) or "The session was closed.", client=client)
+        except UserError as error:
+            notify(self.page.server, str(error), level="error", client=client)
         except Exception as error:
             _log.exception("a file cannot be written")
             notify(self.page.server, f"The file cannot be written: {error}.", level="error", client=client)
         finally:
             self._busy.release()
-            with contextlib.suppress(Exception):  # the page may be closed
-                notification.remove()
 
-    def _content(self, suffix: str, opening: Opening, notification: viser.NotificationHandle) -> bytes:
-        if suffix == ".png":
-            return self._files.picture(self.page.server.link(view_only=True))
+    def _picture(self, client: viser.ClientHandle) -> bytes:
+        """Return a picture of what a visitor sees, from a copy of the visitor's page."""
+        with self._copies.copy(client) as view:
+            return self._files.picture(self.page.server.link(view_only=True), view)
+
+    def _content(self, label: str, opening: Opening) -> bytes:
+        """Return the file of the flight so far: its ticks are planned again, and written at once or afterwards."""
         shown = [name for name, layer in self.page.layers.items() if layer.visible]
         ticks, frame = self._controls.flown().result(), self.session.frame
         if frame is None or not ticks:
             raise UserError("Nothing has been planned yet.")
         command = opening.command(frame.source, config_without_facts(ticks[0][1], frame.source))
+        start, end = ticks[0][0].time, ticks[-1][0].time
+        is_video = label == "Video"
+
+        def planned(frames: Iterable[Frame]) -> Iterator[Frame]:
+            for frame in frames:
+                yield frame
+                self._progress.report(frame.time - start, end - start, "planned again" if is_video else "written")
+
         with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / f"flight{suffix}"
-
-            def report(time: float) -> None:
-                if self._closing.is_set():
-                    raise CancelledError
-                notification.body = f"Writing the file .. {time:.1f} s"
-
-            frames = self._frames(opening, frame.source, ticks, report)
-            self._files.write(frames, path, command=command, layers=shown, report=report)
+            path = Path(folder) / f"flight{_KINDS[label][0]}"
+            self._files.write(
+                planned(self._frames(opening, frame.source, ticks)),
+                path,
+                command=command,
+                layers=shown,
+                report=lambda time: self._progress.report(time, end - start, "written"),
+            )
             return path.read_bytes()
 
-    def _frames(
-        self, opening: Opening, info: SourceInfo, ticks: Ticks, report: Callable[[float], None]
-    ) -> Iterator[Frame]:
+    def _frames(self, opening: Opening, info: SourceInfo, ticks: Ticks) -> Iterator[Frame]:
         twin = FlightSource.twin(info) if info.world is not None and info.closed_loop else None
         source = twin or open_source(opening.spec, seed=opening.seed)
-        for frame in repeat(source, ticks, device=self._controls.device, seed=self._controls.seed):
-            yield frame
-            report(frame.time)
+        yield from repeat(source, ticks, device=self._controls.device, seed=self._controls.seed)

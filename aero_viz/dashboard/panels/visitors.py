@@ -49,7 +49,8 @@ class VisitorPanel(Panel):
             if not may_control:
                 role += " This link cannot control the session."
             count = f"<b>{visitors.count} visitors</b>" if visitors.count != 1 else "<b>1 visitor</b>"
-            is_shown, is_offered = visitors.count > 1 or not controls, may_control and not controls
+            is_shown = visitors.is_present(number) and (visitors.count > 1 or not controls)
+            is_offered = may_control and not controls
             # The style sheet leaves room for elements of these classes.
             classes = _VISITORS_CLASS + (f" {_TAKE_CONTROL_CLASS}" if is_offered else "")
             line = markup.block(f'<span class="{classes}">{count} {markup.muted(role)}</span>')

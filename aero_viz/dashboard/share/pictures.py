@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable, Iterator
+import json
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.snapshot import launch_chromium
 from aero_viz.errors import UserError
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 SIZE = (1280, 720)
-"""Width and height of videos and pictures [pixels]."""
+"""Width and height of videos [pixels]."""
 VIDEO_RATE = 25
 """Pictures per second of a video [Hz]."""
 _TIMEOUT = 120_000.0
@@ -57,14 +59,21 @@ def write_video(
             report(time)
 
 
-def page_picture(url: str, *, size: tuple[int, int] = SIZE) -> bytes:
+def page_picture(url: str, view: PageView) -> bytes:
     """Return a picture of the page at an address as PNG, with its panels.
+
+    Args:
+        url: address.
+        view: what the page shows.
 
     Raises:
         UserError: Chromium or Playwright is missing.
     """
-    with _opened(url, size) as page:
-        page.get_by_text("shorter is better").first.wait_for()
+    with _opened(url, view.size, view.storage) as page:
+        if view.is_ready:
+            page.wait_for_function(view.is_ready)
+        else:
+            page.get_by_text("shorter is better").first.wait_for()
         page.add_style_tag(content=".mantine-Notification-root {display: none !important}")
         previous = b""
         for _ in range(20):  # the page builds its nodes over several frames
@@ -78,10 +87,14 @@ def page_picture(url: str, *, size: tuple[int, int] = SIZE) -> bytes:
 
 
 @contextlib.contextmanager
-def _opened(url: str, size: tuple[int, int]) -> Iterator[Page]:
+def _opened(url: str, size: tuple[int, int], storage: Mapping[str, str] | None = None) -> Iterator[Page]:
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
         page.set_default_timeout(_TIMEOUT)
+        if storage:
+            page.add_init_script(
+                f"Object.entries({json.dumps(storage)}).forEach(item => localStorage.setItem(...item))"
+            )
         page.goto(url)
         yield page
 

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_entries
+from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, Layer, apply
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
+from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.dashboard.share.legend import RecordedLegend
+from aero_viz.dashboard.share.page import REWOUND
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame
 
@@ -54,12 +57,15 @@ class SceneRecording:
         self._layers: dict[str, Layer] = {kind.name: kind(self._server) for kind in kinds}
         self._chosen = layers
         self._check(layers or ())
+        self.legend = RecordedLegend()
+        """Meaning of the colours."""
         self._history = FlightHistory()
         self._views = Viewpoints()
         self._origin: NDArray[np.float64] | None = None
         self._last: Frame | None = None
         self._cloud_due = -np.inf
         self._started = 0.0
+        run_script(self._server, REWOUND)
         self._serializer = self._server.get_scene_serializer()
 
     @property
@@ -80,6 +86,7 @@ class SceneRecording:
         for layer in self._layers.values():
             layer.position = self._origin - position
         apply((handle, name, _rounded(value)) for handle, name, value in changes)
+        self.legend.add(self._layers.values(), frame)
         self._last = frame
 
     def _check(self, names: Sequence[str]) -> None:
@@ -113,11 +120,6 @@ class SceneRecording:
             layer.history = self._history
             changes += layer.update(frame)
         return changes
-
-    def legend(self) -> list[ColorKey | ColorScale]:
-        """Return the meaning of the colours in the last frame."""
-        assert self._last is not None
-        return legend_entries(self._layers.values(), self._last)
 
     def as_html(self) -> str:
         """Return a web page that plays the recording; nothing can be added afterwards."""

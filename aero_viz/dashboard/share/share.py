@@ -15,6 +15,7 @@ import numpy as np
 from aero_planner import PlannerConfig
 from aero_planner.output_files import check_output_files, whole_file
 from aero_viz.dashboard.history import drone_clearance
+from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
 from aero_viz.errors import UserError
@@ -103,11 +104,11 @@ class FlightFiles:
         """Write frames as a page, a video or a log, see `write`."""
         write(frames, path, **options)
 
-    def picture(self, url: str) -> bytes:
+    def picture(self, url: str, view: PageView) -> bytes:
         """Return a picture of the page at an address as PNG."""
         from aero_viz.dashboard.share.pictures import page_picture
 
-        return _in_thread(lambda: page_picture(url))
+        return _in_thread(lambda: page_picture(url, view))
 
 
 def write(
@@ -144,7 +145,7 @@ def _write_picture(session: Session, frames: Iterable[Frame], path: Path, layers
         dashboard = Dashboard(session, port=0)
         try:
             dashboard.show_only(layers)
-            partial.write_bytes(_in_thread(lambda: page_picture(dashboard.url)))
+            partial.write_bytes(_in_thread(lambda: page_picture(dashboard.url, PageView())))
         finally:
             dashboard.close()
 
@@ -223,7 +224,7 @@ def _write_page(frames: Iterable[Frame], path: Path, *, command: str, layers: Se
             name=frame.source.name,
             ending=ending(frame),
             command=command,
-            legend=recording.legend(),
+            legend=recording.legend,
         )
         path.write_text(content, encoding="utf-8")
         return recording.duration
