@@ -17,7 +17,6 @@ from aero_viz.dashboard.layers import LAYERS, apply
 from aero_viz.dashboard.layers.base import Lines, polylines
 from aero_viz.dashboard.layers.cells import FineCellLayer, UnseenCellLayer, anchor_cells, mean_ranges
 from aero_viz.dashboard.layers.cloud import CloudLayer
-from aero_viz.dashboard.layers.drone import TrailLayer
 from aero_viz.dashboard.layers.motion import MotionLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer, cost_scale
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
@@ -315,22 +314,6 @@ def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_vis
             cast(Any, SimpleNamespace(client_id=visitor.client_id, scene=SimpleNamespace(add_frame=add_frame)))
         )
         assert not layer.is_visible_to(visitor.client_id)
-
-
-def test_the_trail_reaches_the_drone_with_nodes_which_a_slow_browser_moves_at_once(server, frame):
-    angle = np.linspace(0.0, 2.0, 100)
-    circle = 5.0 * np.stack((np.cos(angle), np.sin(angle), 0.2 * angle), axis=-1)
-    trail = (circle - circle[-1] + frame.drone_position).astype(np.float32)
-    layer = TrailLayer(server)
-    changes = layer.update(dataclasses.replace(frame, trail=trail))
-    apply(changes)
-    rods = list({handle.name: handle for handle, _, _ in changes if "/newest/" in handle.name}.values())
-    np.testing.assert_allclose(rods[0].position, frame.drone_position)
-    for rod in rods:
-        ends = rod.position + rod.points[0] @ rotation_matrix(rod.wxyz).T
-        assert rod.visible and np.linalg.norm(ends[:, None] - trail, axis=-1).min(axis=1).max() < 0.06
-    apply(layer.update(dataclasses.replace(frame, trail=frame.trail[:1])))
-    assert not any(rod.visible for rod in rods), "nothing was flown"
 
 
 def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):

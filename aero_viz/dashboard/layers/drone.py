@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import viser
-from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import Past
@@ -13,9 +12,6 @@ from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
 
 _TRAIL_SEGMENTS = 512
-_THICKNESS = 3.0
-_ROD_COUNT, _ROD_LENGTH = 10, 0.5
-"""Number of rods at the end of the trail, and their length [m]."""
 _GHOST = palette.unmapped(palette.GHOST)
 _TRAIL = palette.unmapped(palette.TRAIL)
 
@@ -93,24 +89,13 @@ def _is_shown(past: Past) -> bool:
 
 
 class TrailLayer(Layer):
-    """Path flown so far, thinned to 512 segments.
-
-    A browser that draws slowly moves nodes at once and redraws lines later. Rods, which are nodes, therefore cover the
-    last metres up to the drone.
-    """
+    """Path flown so far, thinned to 512 segments."""
 
     name, title = "trail", "Flown trail"
     keys = (ColorKey("flown trail", palette.TRAIL),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._lines = Lines(scene, "/trail/line", thickness=_THICKNESS, capacity=_TRAIL_SEGMENTS)
-        rod = np.array([[(0.0, 0.0, 0.0), (_ROD_LENGTH, 0.0, 0.0)]], dtype=np.float32)
-        self._rods = [
-            scene.add_line_segments(
-                f"/trail/newest/{i}", rod, palette.TRAIL, thickness=_THICKNESS, thickness_units="screen", visible=False
-            )
-            for i in range(_ROD_COUNT)
-        ]
+        self._lines = Lines(scene, "/trail/line", thickness=3.0, capacity=_TRAIL_SEGMENTS)
 
     def update(self, frame: Frame) -> list[Change]:
         trail = frame.trail
@@ -119,25 +104,4 @@ class TrailLayer(Layer):
         while len(trail) > (_TRAIL_SEGMENTS - 1) * step:
             step *= 2
         vertices = np.concatenate((trail[::step], trail[-1:]))
-        changes = self._lines.show(polylines(vertices), _TRAIL)
-        joints = _newest(frame)
-        for i, rod in enumerate(self._rods):
-            if is_used := i + 1 < len(joints):
-                changes += [(rod, "position", joints[i]), (rod, "wxyz", _turned_along(joints[i + 1] - joints[i]))]
-            changes.append((rod, "visible", is_used))
-        return changes
-
-
-def _newest(frame: Frame) -> NDArray[np.float64]:
-    """Return the ends of the rods on the path flown last, from the drone backward [m], shape [n, 3]."""
-    path = np.vstack((frame.drone_position, frame.trail[: -_TRAIL_SEGMENTS - 1 : -1]))
-    length = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))))
-    count = min(int(length[-1] / _ROD_LENGTH), _ROD_COUNT)
-    return np.stack([np.interp(_ROD_LENGTH * np.arange(count + 1), length, axis) for axis in path.T], axis=-1)
-
-
-def _turned_along(direction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the attitude (w, x, y, z) of a node whose x axis points in a direction."""
-    x, y, z = direction / np.linalg.norm(direction)
-    attitude = np.array((1.0 + x, 0.0, -z, y)) if x > -0.9999 else np.array((0.0, 0.0, 0.0, 1.0))
-    return attitude / np.linalg.norm(attitude)
+        return self._lines.show(polylines(vertices), _TRAIL)
