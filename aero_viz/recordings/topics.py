@@ -189,9 +189,15 @@ def _read_poses(
     if topic.parent == frame != topic.child:
         notice = f"clouds are in the frame of the world, {frame!r}: the poses on {topic.name} move them to the body"
         return PoseSource(topic.name, poses, IDENTITY, "; ".join(filter(None, (outliers, notice))), in_world=True)
-    if not topic.child or topic.child == frame:
+    body = topic.child or contents.transforms.carrier(frame, world=topic.parent)
+    if body == frame:
         return PoseSource(topic.name, poses, IDENTITY, outliers)
-    extrinsic, notice = contents.transforms.between(topic.child, frame), ""
+    extrinsic, notice = contents.transforms.between(body, frame), ""
+    if not topic.child:
+        notice = (
+            f"poses on {topic.name} do not name their frame: they are taken for those of {body!r}, which carries "
+            f"{frame!r} by /tf_static"
+        )
     if extrinsic is None:
         extrinsic = IDENTITY
         notice = (

@@ -117,6 +117,11 @@ class TransformTree:
                 return Transform(*compose_transforms(*invert_transform(*from_target[frame]), *transform))
         return None
 
+    def carrier(self, frame: str, *, world: str) -> str:
+        """Return the topmost frame that `frame` is rigidly joined to, other than `world` and the fixed frames."""
+        carriers = [name for name in self._static_chain(frame) if name not in (*FIXED_FRAMES, world)]
+        return carriers[-1] if carriers else frame
+
     def moving_body(self, frame: str, *, stamped: bool) -> MovingBody | None:
         """Return the motion of the body that carries `frame`, or None if no transform moves it.
 

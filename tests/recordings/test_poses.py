@@ -99,6 +99,16 @@ def test_odometry_of_another_frame_uses_the_static_transform(mcap_of):
         assert recording.problems == []
 
 
+def test_poses_without_a_frame_are_those_of_the_body_that_carries_the_sensor(mcap_of):
+    items = [bags.transform(0, "base", "lidar", [0, 0, 1], YAW_90, topic="/tf_static")]
+    items += [bags.pose_stamped(0.1 * k, [k, 0, 0]) for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        expected = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 1]
+        np.testing.assert_allclose(recording.sweep(0).points, expected, atol=1e-5)
+        assert any("taken for those of 'base'" in problem for problem in recording.problems)
+
+
 def test_unknown_extrinsic_is_reported(mcap_of):
     problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
     assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
