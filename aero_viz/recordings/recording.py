@@ -244,7 +244,8 @@ def open_recording(
         path: file or folder.
         points_topic: topic of the sweeps; None chooses the one with the most clouds.
         pose_topic: topic of the poses; None chooses the first one of Odometry, PoseStamped,
-            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps.
+            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps, and of these first those whose
+            frame is joined to that of the clouds.
         odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
             replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
         poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.

@@ -119,7 +119,8 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
     Args:
         contents: the recording.
         entries: its sweeps, at least one.
-        name: topic of the poses; None tries all topics in the order of preference of their types.
+        name: topic of the poses; None tries all topics, first those whose frame is known to be joined to the clouds',
+            and those in the order of preference of their types.
 
     Raises:
         UserError: there are poses, but they cover no sweep.
@@ -160,7 +161,15 @@ def _pose_topics(contents: Contents, frame: str, name: str | None) -> list[Topic
         return [_find_topic(contents, name, "pose")]
     topics = [topic for topic in contents.topics_with(POSE_TYPES) if len(topic.poses)]
     moving = contents.transforms.moving_body(frame, stamped=True) is not None
-    return topics + (contents.topics_with(TF_TYPES)[:1] if moving else [])
+    topics += contents.topics_with(TF_TYPES)[:1] if moving else []
+    return sorted(topics, key=lambda topic: not _is_joined(contents, topic, frame))
+
+
+def _is_joined(contents: Contents, topic: TopicContents, frame: str) -> bool:
+    """Return True if the recording says where `frame` is in the frames of the poses on a topic."""
+    if topic.type in TF_TYPES or frame in (topic.child, topic.parent):
+        return True
+    return bool(topic.child) and contents.transforms.between(topic.child, frame) is not None
 
 
 def _read_poses(

@@ -121,6 +121,14 @@ def test_odometry_is_preferred_unless_a_topic_is_named(mcap_of):
     assert info.pose_topic == "/pose" and info.poses == 100
 
 
+def test_poses_whose_frame_is_joined_to_the_clouds_are_preferred(mcap_of):
+    static = bags.transform(0, "base", "lidar", [0, 0, 1], topic="/tf_static")
+    wheels = [bags.odometry(0.01 * k, [0, 0, 0], topic="/wheels", child="wheels") for k in range(100)]
+    assert inspect(mcap_of([static, *wheels, *bags.drive(child="base")])).pose_topic == "/odom"
+    moved = [bags.transform(0.1 * k, "odom", "base", [k, 0, 0]) for k in range(10)]
+    assert inspect(mcap_of([static, *moved, *bags.drive(child="footprint")])).pose_topic == "/tf"
+
+
 def test_topic_of_other_times_is_not_used_for_the_poses(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
     items += [bags.odometry(60.0, [0, 0, 0], topic="/odom_of_another_day")]
