@@ -114,8 +114,9 @@ class Recording:
         """Times of the playable sweeps [n] [s] from the first one, ascending."""
         self.start = int(times[0])
         """Stamp of the first playable sweep [ns]."""
-        self.cloud_frame = kept[0].frame
-        """Frame of the clouds."""
+        self.cloud_frame = entries[0].frame
+        """Frame of the clouds. Those of other frames on the topic are moved to it."""
+        self._frames = self._join_frames(contents)
         self.pose_topic = source.topic if source else None
         self.pose_origin: Literal["", "recording", "file", "odometry"] = "recording" if source else ""
         """Origin of the poses; empty if there are none."""
@@ -127,6 +128,20 @@ class Recording:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
         self._registered = self.poses if source is not None and source.in_world else None
+
+    def _join_frames(self, contents: Contents) -> dict[str, Transform]:
+        """Return the poses of other frames of the sweeps in `cloud_frame`, and report those that are not known."""
+        frames = dict.fromkeys(entry.frame for entry in self._entries if entry.frame != self.cloud_frame)
+        poses = {frame: contents.transforms.between(self.cloud_frame, frame) for frame in frames}
+        unknown = [frame for frame, pose in poses.items() if pose is None]
+        if unknown:
+            names = ", ".join(repr(frame) for frame in unknown[:3]) + (" and others" if len(unknown) > 3 else "")
+            count = sum(entry.frame in set(unknown) for entry in self._entries)
+            self.problems.append(
+                f"{count} of {len(self._entries)} sweeps on {self.points_topic} are in {names}, the first is in "
+                f"{self.cloud_frame!r}, and no static transform joins them: they are assumed to be the same frame"
+            )
+        return {frame: pose for frame, pose in poses.items() if pose is not None}
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
@@ -173,7 +188,8 @@ class Recording:
     def changes(self) -> tuple[bytes, ...]:
         """The mounting and the mask, for comparisons."""
         mask = b"" if self._mask is None else self._mask.tobytes()
-        return self.extrinsic.position.tobytes(), self.extrinsic.quaternion.tobytes(), mask
+        poses = (self.extrinsic, *self._frames.values())
+        return *(values.tobytes() for pose in poses for values in pose), mask
 
     @property
     def damage(self) -> str | None:
@@ -196,13 +212,14 @@ class Recording:
             self.damaged_sweeps.add(index)
         self._prefetch(index + 1)
         points, times = decoded.points, decoded.times
+        if entry.frame in self._frames:
+            points = _moved(points, self._frames[entry.frame])
         if self._registered is not None:  # whoever moved the points to the world corrected their motion
             pose, times = self._registered.interpolate(self.sweep_times[index]), None
             points = (points - self._registered.offset - pose.position) @ rotation_matrix(pose.quaternion)
             points = points.astype(np.float32)
         if self.extrinsic is not IDENTITY:
-            rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
-            points = points @ rotation.T + self.extrinsic.position.astype(np.float32)
+            points = _moved(points, self.extrinsic)
         if self._mask is not None:
             kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
             points, times = points[kept], None if times is None else times[kept]
@@ -303,6 +320,11 @@ def configure_recording(
         add_poses(recording, Path(poses))
     elif odometry != "none" and (recording.poses is None or odometry != "auto"):
         _add_odometry(recording, storage, contents, odometry, progress)
+
+
+def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
+    """Return points [P, 3] of a frame whose pose in another one is `pose` in that other frame."""
+    return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)
 
 
 def _mounting(values: Sequence[float]) -> Transform:

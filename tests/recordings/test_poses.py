@@ -109,6 +109,20 @@ def test_poses_without_a_frame_are_those_of_the_body_that_carries_the_sensor(mca
         assert any("taken for those of 'base'" in problem for problem in recording.problems)
 
 
+@pytest.mark.parametrize("is_joined", [True, False])
+def test_every_sweep_has_the_mounting_of_its_own_frame(mcap_of, is_joined):
+    items = [bags.transform(0, "base", "left", [0, 0, 1], topic="/tf_static")]
+    items += [bags.transform(0, "base", "right", [0, 0, 2], YAW_90, topic="/tf_static")] if is_joined else []
+    items += [bags.odometry(0.1 * k, [k, 0, 0], child="base") for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall()), frame=("left", "right")[k % 2]) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        np.testing.assert_allclose(recording.sweep(0).points, np.add(bags.wall(), [0, 0, 1]), atol=1e-5)
+        turned = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 2]
+        right = turned if is_joined else np.add(bags.wall(), [0, 0, 1])
+        np.testing.assert_allclose(recording.sweep(1).points, right, atol=1e-5)
+        assert any("5 of 10 sweeps on /points are in 'right'" in text for text in recording.problems) != is_joined
+
+
 def test_unknown_extrinsic_is_reported(mcap_of):
     problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
     assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
