@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
+from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, decode_points
@@ -95,13 +96,20 @@ class Recording:
 
     def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
-        start = entries[0].time
-        source, stamped, covered = choose_poses(contents, entries, pose_topic)
+        times = np.array([(entry.time, entry.arrival) for entry in entries], np.int64)
+        fault = find_clock_fault(*times.T)
+        if fault is not None:
+            self.problems.append(f"sweeps on {self.points_topic}: {fault.text}")
+        use_stamps = fault is None or not fault.use_arrivals
+        if not use_stamps:
+            entries = sorted(entries, key=lambda entry: entry.arrival)
+        start = entries[0].time if use_stamps else entries[0].arrival
+        source, stamped, covered = choose_poses(contents, entries, pose_topic, use_stamps=use_stamps)
         if source is None:
             self.problems.append(NO_POSES)
         elif not covered.all():
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
-        if not stamped:
+        if use_stamps and not stamped:
             self.problems.append("the stamps of sweeps and poses are on different clocks: times of recording are used")
         if source is not None and source.notice:
             self.problems.append(source.notice)

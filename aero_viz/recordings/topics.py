@@ -111,7 +111,9 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     return topics[0]
 
 
-def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None) -> ChosenPoses:
+def choose_poses(
+    contents: Contents, entries: list[CloudEntry], name: str | None, *, use_stamps: bool = True
+) -> ChosenPoses:
     """Return the first poses that cover half of the sweeps, or else those that cover the most.
 
     All topics are tried with stamps before any is tried with times of recording.
@@ -121,16 +123,17 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
         entries: its sweeps, at least one.
         name: topic of the poses; None tries all topics, first those whose frame is known to be joined to the clouds',
             and those in the order of preference of their types.
+        use_stamps: False for entries whose stamps cannot be used: only times of recording are tried.
 
     Raises:
         UserError: there are poses, but they cover no sweep.
     """
-    frame, start = entries[0].frame, entries[0].time
+    frame, start = entries[0].frame, entries[0].time if use_stamps else entries[0].arrival
     candidates = _pose_topics(contents, frame, name)
     if not candidates:
-        return ChosenPoses(None, True, np.ones(len(entries), np.bool_))
+        return ChosenPoses(None, use_stamps, np.ones(len(entries), np.bool_))
     best = ChosenPoses(None, True, np.zeros(len(entries), np.bool_))
-    for stamped in (True, False):
+    for stamped in (True, False) if use_stamps else (False,):
         sweep_times = np.array([entry.time if stamped else entry.arrival for entry in entries], np.int64)
         for topic in candidates:
             source = _read_poses(contents, topic, frame, start, stamped=stamped)

@@ -168,6 +168,32 @@ def test_different_clocks_fall_back_to_the_time_of_recording(mcap_of):
     assert info.sweeps == 10 and any("different clocks" in problem for problem in info.problems)
 
 
+@pytest.mark.parametrize(
+    ("stamps", "text"),
+    [
+        ([0.1 * k - 2.0 * (k >= 10) for k in range(20)], "stamps step back by 1.9 s at sweep 10"),
+        ([0.1 * k + 3600.0 * (k >= 10) for k in range(20)], "stamps step ahead by 3600.0 s at sweep 10"),
+        ([0.1 * k - 1.69e9 * (k == 0) for k in range(20)], "stamps step ahead by 1690000000.0 s at sweep 1"),
+        ([0.0] * 20, "the stamps of all sweeps are equal"),
+    ],
+)
+def test_a_clock_that_is_set_is_noticed_and_the_times_of_recording_are_used(mcap_of, stamps, text):
+    items = [bags.cloud(t, bags.xyz(bags.wall(seed=k)), late=0.1 * k - t) for k, t in enumerate(stamps)]
+    items += [bags.odometry(t, [k, 0, 0], late=0.1 * k - t) for k, t in enumerate(stamps)]
+    with open_recording(mcap_of(items)) as recording:
+        assert any(f"{text}; times of recording are used" in problem for problem in recording.problems)
+        np.testing.assert_allclose(recording.sweep_times, 0.1 * np.arange(20), atol=1e-6)
+        assert recording.poses is not None
+        np.testing.assert_allclose(recording.poses.interpolate(1.55).position, [15.5, 0, 0], atol=1e-5)
+        np.testing.assert_array_equal(recording.sweep(15).points, bags.wall(seed=15).astype(np.float32))
+
+
+def test_late_sweeps_and_pauses_are_not_faults_of_the_clock(mcap_of):
+    times = [0.1 * k + 60.0 * (k >= 10) for k in range(20)]
+    items = [bags.cloud(t, bags.xyz(bags.wall()), late=3.0 * (k == 5)) for k, t in enumerate(times)]
+    assert not any("step" in problem for problem in inspect(mcap_of(items)).problems)
+
+
 def test_poses_of_another_time_are_an_error(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(3)]
     path = mcap_of([*items, bags.odometry(60, [0, 0, 0]), bags.odometry(61, [0, 0, 0])])
