@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -16,7 +17,7 @@ from aero_viz.input_limits import ReadingBudget
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
-from aero_viz.recordings.point_cloud2 import DecodedPoints, decode_points
+from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
@@ -33,6 +34,8 @@ NO_POSES = (
 """Notice for a recording without poses."""
 
 _CACHED_SWEEPS = 4
+_UNIT_SAMPLES = 8
+"""Number of sweeps that settle the unit of the times of points."""
 _PREFETCHED_SWEEPS, _PREFETCHED_BYTES = 4, 32 << 20
 """Sweeps that the system reads ahead of the playback, and their largest length."""
 
@@ -81,6 +84,7 @@ class Recording:
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
+        self._time_unit = common_time_unit(self._sampled_clouds())
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
@@ -151,6 +155,15 @@ class Recording:
             )
         return {frame: pose for frame, pose in poses.items() if pose is not None}
 
+    def _sampled_clouds(self) -> Iterator[RawCloud]:
+        """Yield the readable ones of some sweeps."""
+        for index in np.unique(np.linspace(0, len(self._entries) - 1, _UNIT_SAMPLES).astype(int)):
+            with contextlib.suppress(Exception):  # see `_read_sweep`
+                yield self._read_cloud(self._entries[index])
+
+    def _read_cloud(self, entry: CloudEntry) -> RawCloud:
+        return read_cloud(entry.file.read(entry.position), self._type, self._encoding)
+
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
         budget = ReadingBudget(0, share=0.3)
@@ -214,7 +227,7 @@ class Recording:
     def _read_sweep(self, index: int) -> PointSweep:
         entry = self._entries[index]
         try:
-            decoded = decode_points(read_cloud(entry.file.read(entry.position), self._type, self._encoding))
+            decoded = decode_points(self._read_cloud(entry), unit=self._time_unit)
         except Exception:  # decompressors and SQLite fail in many ways; one bad sweep must not end the playback
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
