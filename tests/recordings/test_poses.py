@@ -143,6 +143,20 @@ def test_poses_whose_frame_is_joined_to_the_clouds_are_preferred(mcap_of):
     assert inspect(mcap_of([static, *moved, *bags.drive(child="footprint")])).pose_topic == "/tf"
 
 
+def test_a_named_topic_without_poses_is_refused(mcap_of):
+    unset = [bags.odometry(0.1 * k, [0, 0, 0], wxyz=(0, 0, 0, 0), topic="/unset") for k in range(10)]
+    with pytest.raises(UserError, match="/unset of .* has no pose that can be used"):
+        open_recording(mcap_of([*bags.drive(), *unset]), pose_topic="/unset")
+
+
+def test_poses_of_two_robots_on_one_topic_are_not_mixed(mcap_of):
+    others = [bags.odometry(0.05 * k + 0.001, [0, 50, 0], child="robot2") for k in range(40)]
+    with open_recording(mcap_of([*bags.drive(), *others])) as recording:
+        assert recording.poses is not None and len(recording.poses.times) == 37
+        assert np.ptp(recording.poses.positions[:, 1]) == 0.0
+        assert any("37 of 77, those of 'lidar' in 'odom', are used" in problem for problem in recording.problems)
+
+
 def test_topic_of_other_times_is_not_used_for_the_poses(mcap_of):
     items = [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
     items += [bags.odometry(60.0, [0, 0, 0], topic="/odom_of_another_day")]
