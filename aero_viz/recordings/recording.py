@@ -108,9 +108,9 @@ class Recording:
         if not use_stamps:
             entries = sorted(entries, key=lambda entry: entry.arrival)
         start = entries[0].time if use_stamps else entries[0].arrival
-        source, stamped, covered = choose_poses(contents, entries, pose_topic, use_stamps=use_stamps)
+        source, stamped, covered, notice = choose_poses(contents, entries, pose_topic, use_stamps=use_stamps)
         if source is None:
-            self.problems.append(NO_POSES)
+            self.problems += [NO_POSES, *filter(None, [notice])]
         elif not covered.all():
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
         if use_stamps and not stamped:

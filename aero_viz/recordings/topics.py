@@ -17,7 +17,7 @@ from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
-from aero_viz.recordings.transforms import IDENTITY, PoseSamples, Transform
+from aero_viz.recordings.transforms import FIXED_FRAMES, IDENTITY, PoseSamples, Transform
 
 Array = NDArray[np.float64]
 
@@ -84,6 +84,8 @@ class ChosenPoses(NamedTuple):
     """True if sweeps and poses are matched by their stamps, False if by their times of recording."""
     covered: NDArray[np.bool_]
     """[n], True for the sweeps that have a pose."""
+    notice: str = ""
+    """Notice for the user about recorded transforms that cannot be used; empty if there is nothing to say."""
 
 
 def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: str | None) -> None:
@@ -105,7 +107,7 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
     """
-    worlds = {parent for topic in contents.topics for parent, _ in topic.poses if parent}
+    worlds = {parent for topic in contents.topics for parent, _ in topic.poses if parent}.union(FIXED_FRAMES)
 
     def order(topic: TopicContents) -> tuple[bool, bool, int, str]:
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
@@ -152,7 +154,12 @@ def choose_poses(
             f"{name} of {contents.path} has no pose that can be used: record it again, or name another topic."
         )
     if not candidates:
-        return ChosenPoses(None, use_stamps, np.ones(len(entries), np.bool_))
+        moving = [repr(name) for name in contents.transforms.moving_frames()]
+        notice = (
+            f"TF moves {_join(moving, ', ')}, but no transforms join that to {frame!r}, the frame of the clouds: record "
+            "/tf_static, too"
+        )
+        return ChosenPoses(None, use_stamps, np.ones(len(entries), np.bool_), notice if moving else "")
     best = ChosenPoses(None, True, np.zeros(len(entries), np.bool_))
     for stamped in (True, False) if use_stamps else (False,):
         sweep_times = np.array([entry.time if stamped else entry.arrival for entry in entries], np.int64)
@@ -221,7 +228,8 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
         if body is None:
             return None
         poses, notice = _without_outliers(name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
-        return PoseSource(name, poses, body.extrinsic, notice)
+        in_world = _IN_WORLD.format(frame=frame, topic=name) if body.in_world else ""
+        return PoseSource(name, poses, body.extrinsic, "; ".join(filter(None, (notice, in_world))), body.in_world)
     rows = track.samples.rows()
     times = np.asarray((track.samples.times(stamped=stamped) - start) * 1e-9, np.float64)
     poses, outliers = _without_outliers(name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])

@@ -145,7 +145,7 @@ def test_poses_whose_frame_is_joined_to_the_clouds_are_preferred(mcap_of):
 
 def test_a_named_topic_without_poses_is_refused(mcap_of):
     unset = [bags.odometry(0.1 * k, [0, 0, 0], wxyz=(0, 0, 0, 0), topic="/unset") for k in range(10)]
-    with pytest.raises(UserError, match="/unset of .* has no pose that can be used"):
+    with pytest.raises(UserError, match=r"/unset of .* has no pose that can be used"):
         open_recording(mcap_of([*bags.drive(), *unset]), pose_topic="/unset")
 
 
@@ -235,6 +235,24 @@ def test_clouds_in_the_frame_of_the_world_are_moved_to_the_body(mcap_of):
         for k in (0, 7):
             np.testing.assert_allclose(recording.sweep(k).points, bags.wall() - [0.5 * k, 0, 0], atol=1e-5)
         assert any("frame of the world, 'camera_init'" in problem for problem in recording.problems)
+
+
+@pytest.mark.parametrize("frame", ["map", "odom"])
+def test_transforms_move_clouds_in_the_frame_of_the_world_to_the_body(mcap_of, frame):
+    items = [bags.transform(0.02 * k, "odom", "base", [0.1 * k, 0, 0]) for k in range(60)]
+    items += [bags.transform(0.1 * k, "map", "odom", [0, 1 + 0.1 * k, 0]) for k in range(12)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall()), frame=frame) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        assert recording.pose_topic == "/tf" and len(recording.sweep_times) == 10
+        moved = [2.5, 1.5 if frame == "map" else 0.0, 0]
+        np.testing.assert_allclose(recording.sweep(5).points, bags.wall() - moved, atol=1e-5)
+        assert any(f"frame of the world, '{frame}'" in problem for problem in recording.problems)
+
+
+def test_transforms_that_do_not_lead_to_the_clouds_are_named(mcap_of):
+    items = [bags.transform(0.1 * k, "odom", "base", [k, 0, 0]) for k in range(10)]
+    problems = inspect(mcap_of([*items, bags.cloud(0, bags.xyz(bags.wall()))])).problems
+    assert any("TF moves 'base', but no transforms join that to 'lidar'" in problem for problem in problems)
 
 
 def test_clouds_of_the_sensor_are_preferred_to_registered_ones_and_to_planar_scans(mcap_of):
