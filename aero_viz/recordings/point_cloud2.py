@@ -95,13 +95,25 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
 
 
-def decode_points(cloud: RawCloud, *, unit: float | None = None) -> DecodedPoints:
-    """Return the valid points of a cloud and their times, which are in `unit` [s]; None finds it from the times."""
+def decode_points(
+    cloud: RawCloud, *, unit: float | None = None, origin: NDArray[np.float64] | None = None
+) -> DecodedPoints:
+    """Return the valid points of a cloud and their times.
+
+    Args:
+        cloud: the cloud.
+        unit: unit of the times [s]; None finds it from the times.
+        origin: position of the sensor [3] [m] in the frame of a cloud that was moved to the world. It is subtracted,
+            because map coordinates exceed any range, and float32 does not resolve them.
+    """
     rows = cloud.rows
     if not rows.size:
         return DecodedPoints(np.empty((0, 3), np.float32), None, 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1).astype(np.float32, copy=False)
+        points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1)
+        if origin is not None:
+            points = np.where(points.any(axis=1, keepdims=True), points - origin, np.nan)  # zero is "no return"
+        points = points.astype(np.float32, copy=False)
         valid = valid_points(points)
     values = rows["time"].reshape(-1) if "time" in (rows.dtype.names or ()) else None
     count = len(points)

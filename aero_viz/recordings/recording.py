@@ -226,8 +226,10 @@ class Recording:
 
     def _read_sweep(self, index: int) -> PointSweep:
         entry = self._entries[index]
+        pose = None if self._registered is None else self._registered.interpolate(self.sweep_times[index])
+        origin = None if self._registered is None or pose is None else self._registered.offset + pose.position
         try:
-            decoded = decode_points(self._read_cloud(entry), unit=self._time_unit)
+            decoded = decode_points(self._read_cloud(entry), unit=self._time_unit, origin=origin)
         except Exception:  # decompressors and SQLite fail in many ways; one bad sweep must not end the playback
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
@@ -235,10 +237,8 @@ class Recording:
         points, times = decoded.points, decoded.times
         if entry.frame in self._frames:
             points = _moved(points, self._frames[entry.frame])
-        if self._registered is not None:  # whoever moved the points to the world corrected their motion
-            pose, times = self._registered.interpolate(self.sweep_times[index]), None
-            points = (points - self._registered.offset - pose.position) @ rotation_matrix(pose.quaternion)
-            points = points.astype(np.float32)
+        if pose is not None:  # whoever moved the points to the world corrected their motion
+            points, times = (points @ rotation_matrix(pose.quaternion)).astype(np.float32), None
         if self.extrinsic is not IDENTITY:
             points = _moved(points, self.extrinsic)
         if self._mask is not None:

@@ -156,8 +156,8 @@ def choose_poses(
     if not candidates:
         moving = [repr(name) for name in contents.transforms.moving_frames()]
         notice = (
-            f"TF moves {_join(moving, ', ')}, but no transforms join that to {frame!r}, the frame of the clouds: record "
-            "/tf_static, too"
+            f"TF moves {_join(moving, ', ')}, but no transforms join that to {frame!r}, the frame of the clouds: "
+            "record /tf_static, too"
         )
         return ChosenPoses(None, use_stamps, np.ones(len(entries), np.bool_), notice if moving else "")
     best = ChosenPoses(None, True, np.zeros(len(entries), np.bool_))

@@ -237,6 +237,14 @@ def test_clouds_in_the_frame_of_the_world_are_moved_to_the_body(mcap_of):
         assert any("frame of the world, 'camera_init'" in problem for problem in recording.problems)
 
 
+def test_clouds_in_map_coordinates_are_moved_to_the_body_without_loss(mcap_of):
+    place = np.array([500_000.0, 5_400_000.0, 100.0])
+    items = [bags.odometry(0.1 * k, np.add(place, [0.5 * k, 0, 0]), parent="map", child="base") for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(place + bags.wall(), "f8"), frame="map") for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        np.testing.assert_allclose(recording.sweep(7).points, bags.wall() - [3.5, 0, 0], atol=1e-5)
+
+
 @pytest.mark.parametrize("frame", ["map", "odom"])
 def test_transforms_move_clouds_in_the_frame_of_the_world_to_the_body(mcap_of, frame):
     items = [bags.transform(0.02 * k, "odom", "base", [0.1 * k, 0, 0]) for k in range(60)]
