@@ -60,7 +60,9 @@ class RecordingInfo:
         playable = f"{_count(self.sweeps, 'sweep')} can be played, {_count(self.poses, 'pose')}"
         if self.points_per_sweep:
             points = self.points_per_sweep
-            playable += f"; points per sweep: {points.min} min, {points.median} median, {points.max} max"
+            playable += (
+                f"; points per sweep, invalid ones too: {points.min} min, {points.median} median, {points.max} max"
+            )
         title = f"{self.path}: {self.format}, {self.duration_s:.1f} s"
         table = [format_table(rows, right=[3])] if rows else []
         measured = [self.measured.format_line()] if self.measured else []
