@@ -47,7 +47,8 @@ class RecordingInfo:
     findings: tuple[Finding, ...] = ()
     """Faults of the recording, and properties to know of."""
     problems: tuple[str, ...] = ()
-    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each."""
+    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each. Without any sweep that can
+    be played, the last one says why."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
@@ -67,6 +68,8 @@ class RecordingInfo:
         table = [format_table(rows, right=[3])] if rows else []
         measured = [self.measured.format_line()] if self.measured else []
         notes = [f"note: {problem}" for problem in self.problems]
+        if not self.sweeps and notes:
+            notes[-1] = f"FAULT (unplayable): {self.problems[-1]}"
         findings = [
             f"{'FAULT' if finding.is_fault else 'hint'} ({finding.code}): {finding.evidence}. Next: {finding.advice}."
             for finding in self.findings
