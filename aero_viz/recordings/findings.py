@@ -182,10 +182,7 @@ def _units(recording: Recording) -> Iterator[Finding]:
     sweeps = [recording.sweep(i) for i in _sampled(len(recording.sweep_times))]
     ranges = np.linalg.norm(np.concatenate([sweep.points for sweep in sweeps]), axis=1)
     if len(ranges) and np.median(ranges) > _FAR:
-        dropped, count = (
-            sum(sweep.dropped for sweep in sweeps),
-            sum(sweep.dropped + len(sweep.points) for sweep in sweeps),
-        )
+        dropped = sum(sweep.dropped for sweep in sweeps)
         yield Finding(
             "units",
             f"half of the points are farther away than {np.median(ranges):.0f} m, and "

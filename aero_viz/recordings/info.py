@@ -47,8 +47,8 @@ class RecordingInfo:
     findings: tuple[Finding, ...] = ()
     """Faults of the recording, and properties to know of."""
     problems: tuple[str, ...] = ()
-    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each. Without any sweep that can
-    be played, the last one says why."""
+    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each. If nothing can be played,
+    the last one says why."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
