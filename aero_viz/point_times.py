@@ -30,19 +30,42 @@ def time_field(formats: Mapping[str, str]) -> str | None:
     return next((plain[name] for name in _NAMES if name in plain), None)
 
 
-def point_times(values: NDArray[np.generic], stamp: int) -> NDArray[np.float32] | None:
-    """Return times after the stamp [ns] in seconds, or None if the values make no sense as times.
+def time_unit(values: NDArray[np.generic]) -> float | None:
+    """Return the unit of the times of a sweep's points [s], or None if the values make no sense as times.
 
-    Drivers write seconds, milliseconds, microseconds or nanoseconds, counted from the stamp, from 1970 or from the
-    sensor's start, and the message does not say which. A sweep lasts between 1 ms and 2 s: that settles the unit.
+    Drivers write seconds, milliseconds, microseconds or nanoseconds, and the message does not say which. A sweep lasts
+    between 1 ms and 2 s: that settles the unit, unless only a small part of the sweep hit something. Of the sweeps of
+    one topic, the largest ones therefore settle it for all.
     """
     units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
     times = values.astype(np.float64)
-    if not np.isfinite(times).all():
+    times = times[np.isfinite(times)]
+    if not len(times):
         return None
+    span = float(times.max() - times.min())
+    return next((unit for unit in units if _MIN_SWEEP <= span * unit <= _MAX_SWEEP), None)
+
+
+def point_times(values: NDArray[np.generic], stamp: int, unit: float | None = None) -> NDArray[np.float32] | None:
+    """Return times after the stamp [ns] in seconds, or None if the values make no sense as times.
+
+    They are counted from the stamp, from 1970 or from the sensor's start. A few points without a time get that of the
+    points next to them.
+
+    Args:
+        values: the times as they are recorded [P].
+        stamp: the stamp of the sweep [ns].
+        unit: unit of the times [s]; None finds it from these values.
+    """
+    unit = unit or time_unit(values)
+    times = values.astype(np.float64)
+    known = np.isfinite(times)
+    if unit is None or 2 * np.count_nonzero(known) <= len(times):
+        return None
+    if not known.all():
+        times = np.interp(np.arange(len(times)), np.flatnonzero(known), times[known])
     first, last = float(times.min()), float(times.max())
-    unit = next((unit for unit in units if _MIN_SWEEP <= (last - first) * unit <= _MAX_SWEEP), None)
-    if unit is None:
+    if (last - first) * unit > _MAX_SWEEP:
         return None
     if abs(first * unit) <= _MAX_SWEEP:
         return (times * unit).astype(np.float32)

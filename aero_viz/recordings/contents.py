@@ -66,11 +66,8 @@ class TopicContents:
     reason: str = ""
     """Reason why the first of them cannot be decoded."""
     clouds: list[CloudEntry] = field(default_factory=list)
-    poses: PoseSamples = field(default_factory=PoseSamples)
-    child: str = ""
-    """Frame that the poses place; empty where the messages do not say."""
-    parent: str = ""
-    """Frame that the poses are in."""
+    poses: dict[tuple[str, str], PoseSamples] = field(default_factory=dict)
+    """By the frame that they are in and the frame that they place, which is empty where the messages do not say."""
 
     def add_damaged(self, reason: str) -> None:
         """Count a message that cannot be decoded."""
@@ -208,8 +205,8 @@ class _Scanner:
                     pose.parent, pose.child, pose.stamp, message.time, pose.values[:7], static=static
                 )
             if channel.type in POSE_TYPES:
-                topic.poses.add(pose.stamp, message.time, pose.values)
-                topic.child, topic.parent = pose.child, pose.parent
+                samples = topic.poses.setdefault((pose.parent, pose.child), PoseSamples())
+                samples.add(pose.stamp, message.time, pose.values)
 
     def _without_points(self, message: Message) -> bytes | memoryview:
         """Return the message with zeros behind its head, from which the layout of a cloud can be decoded.

@@ -32,6 +32,10 @@ _BURST = 1e-3
 """Sweeps that follow one another faster belong to one cloud: a flight log starts with several [s]."""
 _GAP = 1.6
 """A gap between two sweeps that is longer than this many median periods lacks at least one sweep."""
+_PAUSE = 60.0
+"""Recorders that lose sweeps go on sooner [s]."""
+_FAR = 1000.0
+"""Half of the points of a LiDAR are nearer [m]."""
 _JUMP, _TURN = 0.5, np.radians(25.0)
 _MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
 _CERTAIN = 5.0
@@ -120,7 +124,7 @@ def measure(recording: Recording) -> Measured:
 
 def find_faults(recording: Recording) -> list[Finding]:
     """Return the findings on a recording, faults first."""
-    found = list(_dropped_sweeps(recording))
+    found = [*_dropped_sweeps(recording), *_units(recording)]
     poses = recording.poses
     if poses is None or recording.pose_origin == "odometry":
         return found
@@ -156,15 +160,34 @@ def _dropped_sweeps(recording: Recording) -> Iterator[Finding]:
     if len(steps) < 4:
         return
     period = float(np.median(steps))
-    gaps = np.flatnonzero(steps > _GAP * period)
+    for at in np.flatnonzero(steps > _PAUSE)[:1]:
+        yield Finding(
+            "clock-jump",
+            f"the time jumps by {steps[at]:.1f} s after the sweep at {times[at]:.1f} s; a sweep takes {period:.2f} s",
+            "if the recording was not paused there, a clock was set: synchronize the sensor's clock before you record",
+        )
+    gaps = np.flatnonzero((steps > _GAP * period) & (steps <= _PAUSE))
     if period > 0.0 and len(gaps):
         missing, longest = int(np.round(steps[gaps] / period - 1.0).sum()), float(steps[gaps].max())
         yield Finding(
             "dropped-sweeps",
             f"about {missing} of {len(steps) + 1 + missing} sweeps are missing: {len(gaps)} gaps, the longest "
-            f"{longest:.2f} s after {times[int(gaps[np.argmax(steps[gaps])])]:.1f} s, where a sweep "
+            f"{longest:.2f} s after {times[gaps[np.argmax(steps[gaps])]]:.1f} s, where a sweep "
             f"takes {period:.2f} s",
             "record to a faster disk or with a larger queue, and check the network of the sensor",
+        )
+
+
+def _units(recording: Recording) -> Iterator[Finding]:
+    sweeps = [recording.sweep(i) for i in _sampled(len(recording.sweep_times))]
+    ranges = np.linalg.norm(np.concatenate([sweep.points for sweep in sweeps]), axis=1)
+    if len(ranges) and np.median(ranges) > _FAR:
+        dropped = sum(sweep.dropped for sweep in sweeps)
+        yield Finding(
+            "units",
+            f"half of the points are farther away than {np.median(ranges):.0f} m, and "
+            f"{100 * dropped / (dropped + len(ranges)):.0f} % are left out because they are invalid or beyond 10 km",
+            "convert the coordinates to metres where the cloud is published; they are probably millimetres",
         )
 
 

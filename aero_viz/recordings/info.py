@@ -47,7 +47,8 @@ class RecordingInfo:
     findings: tuple[Finding, ...] = ()
     """Faults of the recording, and properties to know of."""
     problems: tuple[str, ...] = ()
-    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each."""
+    """Reasons why sweeps cannot be played, and other notices for the user, one sentence each. If nothing can be played,
+    the last one says why."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
@@ -60,11 +61,15 @@ class RecordingInfo:
         playable = f"{_count(self.sweeps, 'sweep')} can be played, {_count(self.poses, 'pose')}"
         if self.points_per_sweep:
             points = self.points_per_sweep
-            playable += f"; points per sweep: {points.min} min, {points.median} median, {points.max} max"
+            playable += (
+                f"; points per sweep, invalid ones too: {points.min} min, {points.median} median, {points.max} max"
+            )
         title = f"{self.path}: {self.format}, {self.duration_s:.1f} s"
         table = [format_table(rows, right=[3])] if rows else []
         measured = [self.measured.format_line()] if self.measured else []
         notes = [f"note: {problem}" for problem in self.problems]
+        if not self.sweeps and notes:
+            notes[-1] = f"FAULT (unplayable): {self.problems[-1]}"
         findings = [
             f"{'FAULT' if finding.is_fault else 'hint'} ({finding.code}): {finding.evidence}. Next: {finding.advice}."
             for finding in self.findings

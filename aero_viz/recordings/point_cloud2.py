@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
-from aero_viz.point_times import point_times, time_field
+from aero_viz.point_times import point_times, time_field, time_unit
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
 
 if TYPE_CHECKING:
@@ -94,21 +95,47 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
 
 
-def decode_points(cloud: RawCloud) -> DecodedPoints:
-    """Return the valid points of a cloud and their times."""
+def decode_points(
+    cloud: RawCloud, *, unit: float | None = None, origin: NDArray[np.float64] | None = None
+) -> DecodedPoints:
+    """Return the valid points of a cloud and their times.
+
+    Args:
+        cloud: the cloud.
+        unit: unit of the times [s]; None finds it from the times.
+        origin: position of the sensor [3] [m] in the frame of a cloud that was moved to the world. It is subtracted,
+            because map coordinates exceed any range, and float32 does not resolve them.
+    """
     rows = cloud.rows
     if not rows.size:
         return DecodedPoints(np.empty((0, 3), np.float32), None, 0)
     with np.errstate(over="ignore", invalid="ignore"):
-        points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1).astype(np.float32, copy=False)
+        points = np.stack([rows[axis].reshape(-1) for axis in "xyz"], axis=1)
+        if origin is not None:
+            points = np.where(points.any(axis=1, keepdims=True), points - origin, np.nan)  # zero is "no return"
+        points = points.astype(np.float32, copy=False)
         valid = valid_points(points)
     values = rows["time"].reshape(-1) if "time" in (rows.dtype.names or ()) else None
     count = len(points)
     if not valid.all():  # invalid points often have no time, either
         kept = np.flatnonzero(valid)
         points, values = points.take(kept, axis=0), None if values is None else values[kept]
-    times = None if values is None or not len(points) else point_times(values, cloud.stamp)
+    times = None if values is None or not len(points) else point_times(values, cloud.stamp, unit)
     return DecodedPoints(np.ascontiguousarray(points), times, count - len(points))
+
+
+def common_time_unit(clouds: Iterable[RawCloud]) -> float | None:
+    """Return the unit of the times of points [s] that fits most points of some clouds of a topic, None if none fits."""
+    votes: dict[float, int] = {}
+    for cloud in clouds:
+        rows = cloud.rows.reshape(-1)
+        if "time" not in (rows.dtype.names or ()):
+            break
+        with np.errstate(over="ignore", invalid="ignore"):
+            valid = valid_points(np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32))
+        if unit := time_unit(rows["time"][valid]):
+            votes[unit] = votes.get(unit, 0) + int(valid.sum())
+    return max(votes, key=lambda unit: votes[unit]) if votes else None
 
 
 def valid_points(points: NDArray[np.float32]) -> NDArray[np.bool_]:

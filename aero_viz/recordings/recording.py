@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
+from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
-from aero_viz.recordings.point_cloud2 import DecodedPoints, decode_points
+from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
@@ -32,6 +34,8 @@ NO_POSES = (
 """Notice for a recording without poses."""
 
 _CACHED_SWEEPS = 4
+_UNIT_SAMPLES = 8
+"""Number of sweeps that settle the unit of the times of points."""
 _PREFETCHED_SWEEPS, _PREFETCHED_BYTES = 4, 32 << 20
 """Sweeps that the system reads ahead of the playback, and their largest length."""
 
@@ -80,6 +84,7 @@ class Recording:
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
+        self._time_unit = common_time_unit(self._sampled_clouds())
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
@@ -95,13 +100,20 @@ class Recording:
 
     def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
-        start = entries[0].time
-        source, stamped, covered = choose_poses(contents, entries, pose_topic)
+        times = np.array([(entry.time, entry.arrival) for entry in entries], np.int64)
+        fault = find_clock_fault(*times.T)
+        if fault is not None:
+            self.problems.append(f"sweeps on {self.points_topic}: {fault.text}")
+        use_stamps = fault is None or not fault.use_arrivals
+        if not use_stamps:
+            entries = sorted(entries, key=lambda entry: entry.arrival)
+        start = entries[0].time if use_stamps else entries[0].arrival
+        source, stamped, covered, notice = choose_poses(contents, entries, pose_topic, use_stamps=use_stamps)
         if source is None:
-            self.problems.append(NO_POSES)
+            self.problems += [NO_POSES, *filter(None, [notice])]
         elif not covered.all():
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
-        if not stamped:
+        if use_stamps and not stamped:
             self.problems.append("the stamps of sweeps and poses are on different clocks: times of recording are used")
         if source is not None and source.notice:
             self.problems.append(source.notice)
@@ -114,8 +126,9 @@ class Recording:
         """Times of the playable sweeps [n] [s] from the first one, ascending."""
         self.start = int(times[0])
         """Stamp of the first playable sweep [ns]."""
-        self.cloud_frame = kept[0].frame
-        """Frame of the clouds."""
+        self.cloud_frame = entries[0].frame
+        """Frame of the clouds. Those of other frames on the topic are moved to it."""
+        self._frames = self._join_frames(contents)
         self.pose_topic = source.topic if source else None
         self.pose_origin: Literal["", "recording", "file", "odometry"] = "recording" if source else ""
         """Origin of the poses; empty if there are none."""
@@ -127,6 +140,29 @@ class Recording:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
         self._registered = self.poses if source is not None and source.in_world else None
+
+    def _join_frames(self, contents: Contents) -> dict[str, Transform]:
+        """Return the poses of other frames of the sweeps in `cloud_frame`, and report those that are not known."""
+        frames = dict.fromkeys(entry.frame for entry in self._entries if entry.frame != self.cloud_frame)
+        poses = {frame: contents.transforms.between(self.cloud_frame, frame) for frame in frames}
+        unknown = [frame for frame, pose in poses.items() if pose is None]
+        if unknown:
+            names = ", ".join(repr(frame) for frame in unknown[:3]) + (" and others" if len(unknown) > 3 else "")
+            count = sum(entry.frame in set(unknown) for entry in self._entries)
+            self.problems.append(
+                f"{count} of {len(self._entries)} sweeps on {self.points_topic} are in {names}, the first is in "
+                f"{self.cloud_frame!r}, and no static transform joins them: they are assumed to be the same frame"
+            )
+        return {frame: pose for frame, pose in poses.items() if pose is not None}
+
+    def _sampled_clouds(self) -> Iterator[RawCloud]:
+        """Yield the readable ones of some sweeps."""
+        for index in np.unique(np.linspace(0, len(self._entries) - 1, _UNIT_SAMPLES).astype(int)):
+            with contextlib.suppress(Exception):  # see `_read_sweep`
+                yield self._read_cloud(self._entries[index])
+
+    def _read_cloud(self, entry: CloudEntry) -> RawCloud:
+        return read_cloud(entry.file.read(entry.position), self._type, self._encoding)
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
@@ -173,7 +209,8 @@ class Recording:
     def changes(self) -> tuple[bytes, ...]:
         """The mounting and the mask, for comparisons."""
         mask = b"" if self._mask is None else self._mask.tobytes()
-        return self.extrinsic.position.tobytes(), self.extrinsic.quaternion.tobytes(), mask
+        poses = (self.extrinsic, *self._frames.values())
+        return *(values.tobytes() for pose in poses for values in pose), mask
 
     @property
     def damage(self) -> str | None:
@@ -189,20 +226,21 @@ class Recording:
 
     def _read_sweep(self, index: int) -> PointSweep:
         entry = self._entries[index]
+        pose = None if self._registered is None else self._registered.interpolate(self.sweep_times[index])
+        origin = None if self._registered is None or pose is None else self._registered.offset + pose.position
         try:
-            decoded = decode_points(read_cloud(entry.file.read(entry.position), self._type, self._encoding))
+            decoded = decode_points(self._read_cloud(entry), unit=self._time_unit, origin=origin)
         except Exception:  # decompressors and SQLite fail in many ways; one bad sweep must not end the playback
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
         self._prefetch(index + 1)
         points, times = decoded.points, decoded.times
-        if self._registered is not None:  # whoever moved the points to the world corrected their motion
-            pose, times = self._registered.interpolate(self.sweep_times[index]), None
-            points = (points - self._registered.offset - pose.position) @ rotation_matrix(pose.quaternion)
-            points = points.astype(np.float32)
+        if entry.frame in self._frames:
+            points = _moved(points, self._frames[entry.frame])
+        if pose is not None:  # whoever moved the points to the world corrected their motion
+            points, times = (points @ rotation_matrix(pose.quaternion)).astype(np.float32), None
         if self.extrinsic is not IDENTITY:
-            rotation = rotation_matrix(self.extrinsic.quaternion).astype(np.float32)
-            points = points @ rotation.T + self.extrinsic.position.astype(np.float32)
+            points = _moved(points, self.extrinsic)
         if self._mask is not None:
             kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
             points, times = points[kept], None if times is None else times[kept]
@@ -244,7 +282,8 @@ def open_recording(
         path: file or folder.
         points_topic: topic of the sweeps; None chooses the one with the most clouds.
         pose_topic: topic of the poses; None chooses the first one of Odometry, PoseStamped,
-            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps.
+            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps, and of these first those whose
+            frame is joined to that of the clouds.
         odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
             replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
         poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
@@ -302,6 +341,11 @@ def configure_recording(
         add_poses(recording, Path(poses))
     elif odometry != "none" and (recording.poses is None or odometry != "auto"):
         _add_odometry(recording, storage, contents, odometry, progress)
+
+
+def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
+    """Return points [P, 3] of a frame whose pose in another one is `pose` in that other frame."""
+    return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)
 
 
 def _mounting(values: Sequence[float]) -> Transform:

@@ -17,7 +17,7 @@ from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
-from aero_viz.recordings.transforms import IDENTITY, Transform
+from aero_viz.recordings.transforms import FIXED_FRAMES, IDENTITY, PoseSamples, Transform
 
 Array = NDArray[np.float64]
 
@@ -40,6 +40,11 @@ _SHOWN, _SHOWN_LENGTH = 8, 80
 _FARTHEST_POSE = 1e5
 """Distance from the median position along an axis [m] beyond which a pose is damaged."""
 
+_TRACKS = 16
+"""Number of frames on one topic whose poses are tried."""
+
+_IN_WORLD = "clouds are in the frame of the world, {frame!r}: the poses on {topic} move them to the body"
+
 _SUFFICIENT_COVERAGE = 0.5
 """Share of the sweeps that poses must cover for the search to end with them."""
 
@@ -58,6 +63,18 @@ class PoseSource(NamedTuple):
     """True if the clouds are in the frame that the poses are in."""
 
 
+class _Track(NamedTuple):
+    """Poses of one frame in another one."""
+
+    topic: TopicContents
+    parent: str
+    """Frame that the poses are in."""
+    child: str
+    """Frame that they place; empty where the messages do not say."""
+    samples: PoseSamples
+    """Empty for a topic of transforms."""
+
+
 class ChosenPoses(NamedTuple):
     """The poses to play a recording with."""
 
@@ -67,6 +84,8 @@ class ChosenPoses(NamedTuple):
     """True if sweeps and poses are matched by their stamps, False if by their times of recording."""
     covered: NDArray[np.bool_]
     """[n], True for the sweeps that have a pose."""
+    notice: str = ""
+    """Notice for the user about recorded transforms that cannot be used; empty if there is nothing to say."""
 
 
 def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: str | None) -> None:
@@ -88,7 +107,7 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
     """
-    worlds = {topic.parent for topic in contents.topics if topic.parent}
+    worlds = {parent for topic in contents.topics for parent, _ in topic.poses if parent}.union(FIXED_FRAMES)
 
     def order(topic: TopicContents) -> tuple[bool, bool, int, str]:
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
@@ -111,7 +130,9 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     return topics[0]
 
 
-def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None) -> ChosenPoses:
+def choose_poses(
+    contents: Contents, entries: list[CloudEntry], name: str | None, *, use_stamps: bool = True
+) -> ChosenPoses:
     """Return the first poses that cover half of the sweeps, or else those that cover the most.
 
     All topics are tried with stamps before any is tried with times of recording.
@@ -119,20 +140,31 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
     Args:
         contents: the recording.
         entries: its sweeps, at least one.
-        name: topic of the poses; None tries all topics in the order of preference of their types.
+        name: topic of the poses; None tries all topics, first those whose frame is known to be joined to the clouds',
+            and those in the order of preference of their types.
+        use_stamps: False for entries whose stamps cannot be used: only times of recording are tried.
 
     Raises:
-        UserError: there are poses, but they cover no sweep.
+        UserError: the named topic has no poses, or there are poses, but they cover no sweep.
     """
-    frame, start = entries[0].frame, entries[0].time
-    candidates = _pose_topics(contents, frame, name)
+    frame, start = entries[0].frame, entries[0].time if use_stamps else entries[0].arrival
+    candidates = _pose_tracks(contents, frame, name)
+    if not candidates and name is not None:
+        raise UserError(
+            f"{name} of {contents.path} has no pose that can be used: record it again, or name another topic."
+        )
     if not candidates:
-        return ChosenPoses(None, True, np.ones(len(entries), np.bool_))
+        moving = [repr(name) for name in contents.transforms.moving_frames()]
+        notice = (
+            f"TF moves {_join(moving, ', ')}, but no transforms join that to {frame!r}, the frame of the clouds: "
+            "record /tf_static, too"
+        )
+        return ChosenPoses(None, use_stamps, np.ones(len(entries), np.bool_), notice if moving else "")
     best = ChosenPoses(None, True, np.zeros(len(entries), np.bool_))
-    for stamped in (True, False):
+    for stamped in (True, False) if use_stamps else (False,):
         sweep_times = np.array([entry.time if stamped else entry.arrival for entry in entries], np.int64)
-        for topic in candidates:
-            source = _read_poses(contents, topic, frame, start, stamped=stamped)
+        for track in candidates:
+            source = _read_poses(contents, track, frame, start, stamped=stamped)
             if source is None:
                 continue
             covered = source.poses.covers((sweep_times - start) * 1e-9)
@@ -141,7 +173,7 @@ def choose_poses(contents: Contents, entries: list[CloudEntry], name: str | None
             if best.covered.mean() >= _SUFFICIENT_COVERAGE:
                 return best
     if best.source is None:
-        names = _join([topic.name for topic in candidates], " and ")
+        names = _join(list(dict.fromkeys(track.topic.name for track in candidates)), " and ")
         raise UserError(
             f"The poses on {names} of {contents.path} do not overlap the sweeps in time: "
             "record both together or name another topic with pose_topic."
@@ -155,50 +187,83 @@ def suggest_other_clouds(contents: Contents, topic: TopicContents) -> str:
     return _suggest(alternatives) or ": check that the driver publishes the sensor's points there"
 
 
-def _pose_topics(contents: Contents, frame: str, name: str | None) -> list[TopicContents]:
-    if name is not None:
-        return [_find_topic(contents, name, "pose")]
-    topics = [topic for topic in contents.topics_with(POSE_TYPES) if len(topic.poses)]
-    moving = contents.transforms.moving_body(frame, stamped=True) is not None
-    return topics + (contents.topics_with(TF_TYPES)[:1] if moving else [])
+def _pose_tracks(contents: Contents, frame: str, name: str | None) -> list[_Track]:
+    """Return the poses to try, the preferred ones first."""
+    if name is None:
+        topics = contents.topics_with(POSE_TYPES)
+        moving = contents.transforms.moving_body(frame, stamped=True) is not None
+        topics += contents.topics_with(TF_TYPES)[:1] if moving else []
+    else:
+        topics = [_find_topic(contents, name, "pose")]
+    tracks = []
+    for topic in topics:
+        if topic.type in TF_TYPES:
+            tracks.append(_Track(topic, "", "", PoseSamples()))
+        else:
+            busiest = sorted(topic.poses.items(), key=lambda item: -len(item[1]))[:_TRACKS]
+            tracks += [_Track(topic, *frames, samples) for frames, samples in busiest]
+    return sorted(tracks, key=lambda track: not _is_joined(contents, track, frame))
 
 
-def _read_poses(
-    contents: Contents, topic: TopicContents, frame: str, start: int, *, stamped: bool
-) -> PoseSource | None:
-    """Return the poses on a topic, or None if there are none.
+def _is_joined(contents: Contents, track: _Track, frame: str) -> bool:
+    """Return True if the recording says where `frame` is in the frames of the poses."""
+    if track.topic.type in TF_TYPES or frame in (track.child, track.parent):
+        return True
+    return bool(track.child) and contents.transforms.between(track.child, frame) is not None
+
+
+def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, stamped: bool) -> PoseSource | None:
+    """Return poses, or None if there are none.
 
     Args:
         contents: the recording.
-        topic: has poses or transforms.
+        track: where they are in it.
         frame: frame of the clouds.
         start: time zero [ns].
         stamped: True for the poses' stamps, False for their times of recording.
     """
-    if topic.type in TF_TYPES:
+    name = track.topic.name
+    if track.topic.type in TF_TYPES:
         body = contents.transforms.moving_body(frame, stamped=stamped)
         if body is None:
             return None
-        poses, notice = _without_outliers(topic.name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
-        return PoseSource(topic.name, poses, body.extrinsic, notice)
-    if not len(topic.poses):
-        return None
-    rows = topic.poses.rows()
-    times = np.asarray((topic.poses.times(stamped=stamped) - start) * 1e-9, np.float64)
-    poses, outliers = _without_outliers(topic.name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
-    if topic.parent == frame != topic.child:
-        notice = f"clouds are in the frame of the world, {frame!r}: the poses on {topic.name} move them to the body"
-        return PoseSource(topic.name, poses, IDENTITY, "; ".join(filter(None, (outliers, notice))), in_world=True)
-    if not topic.child or topic.child == frame:
-        return PoseSource(topic.name, poses, IDENTITY, outliers)
-    extrinsic, notice = contents.transforms.between(topic.child, frame), ""
-    if extrinsic is None:
-        extrinsic = IDENTITY
-        notice = (
-            f"poses on {topic.name} are those of {topic.child!r}, clouds are in {frame!r}, and no static transform "
-            "joins the two: they are assumed to be the same frame"
-        )
-    return PoseSource(topic.name, poses, extrinsic, "; ".join(filter(None, (outliers, notice))))
+        poses, notice = _without_outliers(name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
+        in_world = _IN_WORLD.format(frame=frame, topic=name) if body.in_world else ""
+        return PoseSource(name, poses, body.extrinsic, "; ".join(filter(None, (notice, in_world))), body.in_world)
+    rows = track.samples.rows()
+    times = np.asarray((track.samples.times(stamped=stamped) - start) * 1e-9, np.float64)
+    poses, outliers = _without_outliers(name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
+    extrinsic, notice, in_world = IDENTITY, "", False
+    body = track.child or contents.transforms.carrier(frame, world=track.parent)
+    if track.parent == frame != track.child:
+        notice, in_world = _IN_WORLD.format(frame=frame, topic=name), True
+    elif body != frame:
+        joined = contents.transforms.between(body, frame)
+        extrinsic = joined or IDENTITY
+        if not track.child:
+            notice = (
+                f"poses on {name} do not name their frame: they are taken for those of {body!r}, which carries "
+                f"{frame!r} by /tf_static"
+            )
+        elif joined is None:
+            notice = (
+                f"poses on {name} are those of {body!r}, clouds are in {frame!r}, and no static transform joins the "
+                "two: they are assumed to be the same frame"
+            )
+    notices = filter(None, (_other_tracks(track), outliers, notice))
+    return PoseSource(name, poses, extrinsic, "; ".join(notices), in_world)
+
+
+def _other_tracks(track: _Track) -> str:
+    """Return a notice that a topic has also poses between other frames than those that are used, empty if not."""
+    if len(track.topic.poses) < 2:
+        return ""
+    others = [f"{child!r} in {parent!r}" for parent, child in track.topic.poses if (parent, child) != track[1:3]]
+    total = sum(len(samples) for samples in track.topic.poses.values())
+    return (
+        f"{track.topic.name} holds poses of several frames: {len(track.samples)} of {total}, those of {track.child!r} "
+        f"in {track.parent!r}, are used, and not those of {_join(others, ', ')}"
+    )
 
 
 def _without_outliers(

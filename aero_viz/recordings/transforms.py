@@ -13,7 +13,7 @@ from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import compose_transforms, invert_transform
 from aero_viz.recordings.poses import sort_poses
 
-FIXED_FRAMES = ("map", "world", "odom")
+FIXED_FRAMES = ("map", "world", "odom", "camera_init")
 """Names of frames that do not move, the preferred one first."""
 
 
@@ -38,6 +38,8 @@ class MovingBody(NamedTuple):
     """[n] [ns]."""
     poses: Transform
     """Poses of the body in the fixed frame."""
+    in_world: bool = False
+    """True if the clouds are in the fixed frame."""
 
 
 @dataclass
@@ -109,6 +111,10 @@ class TransformTree:
         rows = self._samples(edge).rows()
         return edge in self._static or bool((rows == rows[0]).all() and len(rows) > 1)
 
+    def moving_frames(self) -> list[str]:
+        """Return the names of the frames that move in another one."""
+        return [child for child, parents in self._edges.items() if any(not self.is_static((p, child)) for p in parents)]
+
     def between(self, target: str, source: str) -> Transform | None:
         """Return the static pose of frame `source` in frame `target`, or None if no static edges join them."""
         from_source, from_target = self._static_chain(source), self._static_chain(target)
@@ -117,24 +123,58 @@ class TransformTree:
                 return Transform(*compose_transforms(*invert_transform(*from_target[frame]), *transform))
         return None
 
+    def carrier(self, frame: str, *, world: str) -> str:
+        """Return the topmost frame that `frame` is rigidly joined to, other than `world` and the fixed frames."""
+        carriers = [name for name in self._static_chain(frame) if name not in (*FIXED_FRAMES, world)]
+        return carriers[-1] if carriers else frame
+
     def moving_body(self, frame: str, *, stamped: bool) -> MovingBody | None:
         """Return the motion of the body that carries `frame`, or None if no transform moves it.
 
-        The static edges next to the sensor are its extrinsic. The first moving edge moves the body.
+        The static edges next to the sensor are its extrinsic. The first moving edge moves the body. A frame of the
+        world carries no sensor; the body is then the first one that moves in it.
         """
+        if frame in FIXED_FRAMES:
+            edges = self._edges_into(frame)
+            return MovingBody(IDENTITY, *self._follow(edges, stamped=stamped), in_world=True) if edges else None
         edges, extrinsic = self.chain(frame), IDENTITY
         while edges and self.is_static(edges[0]):
             extrinsic = Transform(*compose_transforms(*self._constant(edges[0]), *extrinsic))
             edges = edges[1:]
-        if not edges:
-            return None
+        return MovingBody(extrinsic, *self._follow(edges, stamped=stamped)) if edges else None
+
+    def _edges_into(self, world: str) -> list[tuple[str, str]]:
+        """Return the edges from the busiest body that moves in a frame of the world up to that frame, if there is one.
+
+        Between the body and that frame there are only frames of the world, such as odom.
+        """
+        bodies = [
+            (parent, child)
+            for child, parents in self._edges.items()
+            for parent in parents
+            if parent in FIXED_FRAMES and child not in FIXED_FRAMES and not self.is_static((parent, child))
+        ]
+        for edge in sorted(bodies, key=lambda edge: -len(self._samples(edge))):
+            edges, seen = [edge], {edge[1]}
+            while edges[-1][0] != world and edges[-1][0] not in seen:
+                seen.add(edges[-1][0])
+                above = self._edges.get(edges[-1][0], {})
+                if not above:
+                    break
+                edges.append((max(above, key=lambda name: len(above[name])), edges[-1][0]))
+            if edges[-1][0] == world:
+                return edges
+        return []
+
+    def _follow(self, edges: list[tuple[str, str]], *, stamped: bool) -> tuple[NDArray[np.int64], Transform]:
+        """Return the times of the first edge [n] [ns], and the poses of its child in the parent of the last one."""
         times = np.unique(self._samples(edges[0]).times(stamped=stamped))
         poses = self._interpolated(edges[0], times, stamped=stamped)
         for edge in edges[1:]:
             static = self.is_static(edge)
             parent = self._constant(edge) if static else self._interpolated(edge, times, stamped=stamped)
             poses = Transform(*compose_transforms(*parent, *poses))
-        return MovingBody(extrinsic, times, poses)
+        return times, poses
 
     def _static_chain(self, frame: str) -> dict[str, Transform]:
         """Return the frames above `frame` that are rigidly joined to it, with the pose of `frame` in each."""

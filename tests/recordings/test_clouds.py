@@ -91,6 +91,25 @@ def test_times_of_invalid_points_do_not_matter(mcap_of, unset):
     np.testing.assert_allclose(point_times(sweep), np.linspace(0, 0.1, 200)[50:], atol=2e-6)
 
 
+def test_the_unit_of_the_times_is_that_of_the_topic(mcap_of):
+    seconds = np.linspace(0, 0.1, 200)
+    near = bags.wall()
+    near[2:] = np.nan  # all that is hit is measured within 0.5 ms, as numbers also 0.5 s
+    sweeps = [{**bags.xyz(near if k % 2 else bags.wall()), "t": (1e9 * seconds).astype("u4")} for k in range(6)]
+    path = mcap_of([bags.cloud(0.1 * k, columns) for k, columns in enumerate(sweeps)])
+    np.testing.assert_allclose(point_times(read(path, 1)), seconds[:2], atol=1e-8)
+    np.testing.assert_allclose(point_times(read(path, 2)), seconds, atol=1e-8)
+
+
+def test_points_without_a_time_get_that_of_their_neighbours(mcap_of):
+    seconds = np.linspace(0, 0.1, 200, dtype="f4")
+    times = seconds.copy()
+    times[[5, 199]] = np.nan
+    sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "time": times})]))
+    np.testing.assert_allclose(point_times(sweep), seconds, atol=6e-4)
+    assert len(sweep.points) == 200
+
+
 def test_constant_time_field_is_ignored(mcap_of):
     sweep = read(mcap_of([bags.cloud(0, {**bags.xyz(bags.wall()), "t": np.zeros(200, "u4")})]))
     assert sweep.point_times is None

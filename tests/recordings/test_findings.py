@@ -217,6 +217,21 @@ def test_dropped_sweeps_are_counted(build: Build, flight: Flight):
     assert found["dropped-sweeps"].evidence.startswith(start)
 
 
+def test_a_long_gap_is_not_a_slow_disk(mcap_of: Callable[[list[bags.Item]], Path]):
+    times = [0.1 * k + 3600.0 * (k >= 10) for k in range(20)]
+    found = findings(mcap_of([bags.cloud(time, bags.xyz(bags.wall())) for time in times]))
+    assert (
+        list(found) == ["clock-jump"] and "jumps by 3600.1 s after the sweep at 0.9 s" in found["clock-jump"].evidence
+    )
+
+
+def test_coordinates_in_millimetres(mcap_of: Callable[[list[bags.Item]], Path]):
+    points = 1e3 * bags.wall()
+    points[:50] *= 10.0
+    found = findings(mcap_of([bags.cloud(0.1 * k, bags.xyz(points)) for k in range(5)]))
+    assert list(found) == ["units"] and "25 % are left out" in found["units"].evidence
+
+
 def test_findings_are_printed_with_their_next_step(build: Build, capsys: pytest.CaptureFixture[str]):
     path = str(build(late=0.05))
     code, text, _ = run(capsys, "inspect", path)

@@ -27,6 +27,7 @@ def test_empty_recording_has_no_sweeps(mcap_of):
     info = inspect(mcap_of([]))
     assert info.sweeps == 0 and info.topics == () and info.points_per_sweep is None
     assert "it holds no topics" in info.problems[0]
+    assert f"FAULT (unplayable): {info.problems[0]}" in info.format_table()
 
 
 @pytest.mark.parametrize(

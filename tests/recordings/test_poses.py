@@ -99,6 +99,30 @@ def test_odometry_of_another_frame_uses_the_static_transform(mcap_of):
         assert recording.problems == []
 
 
+def test_poses_without_a_frame_are_those_of_the_body_that_carries_the_sensor(mcap_of):
+    items = [bags.transform(0, "base", "lidar", [0, 0, 1], YAW_90, topic="/tf_static")]
+    items += [bags.pose_stamped(0.1 * k, [k, 0, 0]) for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall())) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        expected = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 1]
+        np.testing.assert_allclose(recording.sweep(0).points, expected, atol=1e-5)
+        assert any("taken for those of 'base'" in problem for problem in recording.problems)
+
+
+@pytest.mark.parametrize("is_joined", [True, False])
+def test_every_sweep_has_the_mounting_of_its_own_frame(mcap_of, is_joined):
+    items = [bags.transform(0, "base", "left", [0, 0, 1], topic="/tf_static")]
+    items += [bags.transform(0, "base", "right", [0, 0, 2], YAW_90, topic="/tf_static")] if is_joined else []
+    items += [bags.odometry(0.1 * k, [k, 0, 0], child="base") for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall()), frame=("left", "right")[k % 2]) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        np.testing.assert_allclose(recording.sweep(0).points, np.add(bags.wall(), [0, 0, 1]), atol=1e-5)
+        turned = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 2]
+        right = turned if is_joined else np.add(bags.wall(), [0, 0, 1])
+        np.testing.assert_allclose(recording.sweep(1).points, right, atol=1e-5)
+        assert any("5 of 10 sweeps on /points are in 'right'" in text for text in recording.problems) != is_joined
+
+
 def test_unknown_extrinsic_is_reported(mcap_of):
     problems = inspect(mcap_of(bags.drive(child="base_link"))).problems
     assert any("'base_link'" in problem and "'lidar'" in problem for problem in problems)
@@ -109,6 +133,28 @@ def test_odometry_is_preferred_unless_a_topic_is_named(mcap_of):
     assert inspect(path).pose_topic == "/odom"
     info = inspect(path, pose_topic="/pose")
     assert info.pose_topic == "/pose" and info.poses == 100
+
+
+def test_poses_whose_frame_is_joined_to_the_clouds_are_preferred(mcap_of):
+    static = bags.transform(0, "base", "lidar", [0, 0, 1], topic="/tf_static")
+    wheels = [bags.odometry(0.01 * k, [0, 0, 0], topic="/wheels", child="wheels") for k in range(100)]
+    assert inspect(mcap_of([static, *wheels, *bags.drive(child="base")])).pose_topic == "/odom"
+    moved = [bags.transform(0.1 * k, "odom", "base", [k, 0, 0]) for k in range(10)]
+    assert inspect(mcap_of([static, *moved, *bags.drive(child="footprint")])).pose_topic == "/tf"
+
+
+def test_a_named_topic_without_poses_is_refused(mcap_of):
+    unset = [bags.odometry(0.1 * k, [0, 0, 0], wxyz=(0, 0, 0, 0), topic="/unset") for k in range(10)]
+    with pytest.raises(UserError, match=r"/unset of .* has no pose that can be used"):
+        open_recording(mcap_of([*bags.drive(), *unset]), pose_topic="/unset")
+
+
+def test_poses_of_two_robots_on_one_topic_are_not_mixed(mcap_of):
+    others = [bags.odometry(0.05 * k + 0.001, [0, 50, 0], child="robot2") for k in range(40)]
+    with open_recording(mcap_of([*bags.drive(), *others])) as recording:
+        assert recording.poses is not None and len(recording.poses.times) == 37
+        assert np.ptp(recording.poses.positions[:, 1]) == 0.0
+        assert any("37 of 77, those of 'lidar' in 'odom', are used" in problem for problem in recording.problems)
 
 
 def test_topic_of_other_times_is_not_used_for_the_poses(mcap_of):
@@ -134,6 +180,32 @@ def test_different_clocks_fall_back_to_the_time_of_recording(mcap_of):
     items += [bags.odometry(1000 + 0.1 * k, [k, 0, 0]) for k in range(10)]
     info = inspect(mcap_of(items))
     assert info.sweeps == 10 and any("different clocks" in problem for problem in info.problems)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "text"),
+    [
+        ([0.1 * k - 2.0 * (k >= 10) for k in range(20)], "stamps step back by 1.9 s at sweep 10"),
+        ([0.1 * k + 3600.0 * (k >= 10) for k in range(20)], "stamps step ahead by 3600.0 s at sweep 10"),
+        ([0.1 * k - 1.69e9 * (k == 0) for k in range(20)], "stamps step ahead by 1690000000.0 s at sweep 1"),
+        ([0.0] * 20, "the stamps of all sweeps are equal"),
+    ],
+)
+def test_a_clock_that_is_set_is_noticed_and_the_times_of_recording_are_used(mcap_of, stamps, text):
+    items = [bags.cloud(t, bags.xyz(bags.wall(seed=k)), late=0.1 * k - t) for k, t in enumerate(stamps)]
+    items += [bags.odometry(t, [k, 0, 0], late=0.1 * k - t) for k, t in enumerate(stamps)]
+    with open_recording(mcap_of(items)) as recording:
+        assert any(f"{text}; times of recording are used" in problem for problem in recording.problems)
+        np.testing.assert_allclose(recording.sweep_times, 0.1 * np.arange(20), atol=1e-6)
+        assert recording.poses is not None
+        np.testing.assert_allclose(recording.poses.interpolate(1.55).position, [15.5, 0, 0], atol=1e-5)
+        np.testing.assert_array_equal(recording.sweep(15).points, bags.wall(seed=15).astype(np.float32))
+
+
+def test_late_sweeps_and_pauses_are_not_faults_of_the_clock(mcap_of):
+    times = [0.1 * k + 60.0 * (k >= 10) for k in range(20)]
+    items = [bags.cloud(t, bags.xyz(bags.wall()), late=3.0 * (k == 5)) for k, t in enumerate(times)]
+    assert not any("step" in problem for problem in inspect(mcap_of(items)).problems)
 
 
 def test_poses_of_another_time_are_an_error(mcap_of):
@@ -163,6 +235,32 @@ def test_clouds_in_the_frame_of_the_world_are_moved_to_the_body(mcap_of):
         for k in (0, 7):
             np.testing.assert_allclose(recording.sweep(k).points, bags.wall() - [0.5 * k, 0, 0], atol=1e-5)
         assert any("frame of the world, 'camera_init'" in problem for problem in recording.problems)
+
+
+def test_clouds_in_map_coordinates_are_moved_to_the_body_without_loss(mcap_of):
+    place = np.array([500_000.0, 5_400_000.0, 100.0])
+    items = [bags.odometry(0.1 * k, np.add(place, [0.5 * k, 0, 0]), parent="map", child="base") for k in range(10)]
+    items += [bags.cloud(0.1 * k, bags.xyz(place + bags.wall(), "f8"), frame="map") for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        np.testing.assert_allclose(recording.sweep(7).points, bags.wall() - [3.5, 0, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize("frame", ["map", "odom"])
+def test_transforms_move_clouds_in_the_frame_of_the_world_to_the_body(mcap_of, frame):
+    items = [bags.transform(0.02 * k, "odom", "base", [0.1 * k, 0, 0]) for k in range(60)]
+    items += [bags.transform(0.1 * k, "map", "odom", [0, 1 + 0.1 * k, 0]) for k in range(12)]
+    items += [bags.cloud(0.1 * k, bags.xyz(bags.wall()), frame=frame) for k in range(10)]
+    with open_recording(mcap_of(items)) as recording:
+        assert recording.pose_topic == "/tf" and len(recording.sweep_times) == 10
+        moved = [2.5, 1.5 if frame == "map" else 0.0, 0]
+        np.testing.assert_allclose(recording.sweep(5).points, bags.wall() - moved, atol=1e-5)
+        assert any(f"frame of the world, '{frame}'" in problem for problem in recording.problems)
+
+
+def test_transforms_that_do_not_lead_to_the_clouds_are_named(mcap_of):
+    items = [bags.transform(0.1 * k, "odom", "base", [k, 0, 0]) for k in range(10)]
+    problems = inspect(mcap_of([*items, bags.cloud(0, bags.xyz(bags.wall()))])).problems
+    assert any("TF moves 'base', but no transforms join that to 'lidar'" in problem for problem in problems)
 
 
 def test_clouds_of_the_sensor_are_preferred_to_registered_ones_and_to_planar_scans(mcap_of):
