@@ -29,8 +29,11 @@ from aero_viz.recordings.pcap import PCAP_MAGICS
 from aero_viz.scenes.map_files import MAP_SUFFIXES
 
 _PERIOD = 100_000_000
-_FIRST_STAMP = 1_000_000_000
-"""Stamp of the first cloud where none is known [ns]; zero would mean that it is unset."""
+FIRST_STAMP = 1_000_000_000
+"""Stamp of the first cloud where none is known [ns]; zero would mean that it is unset. Times that are not since 1970
+are counted from it."""
+SINCE_1970 = 10**17
+"""Smallest stamp that is a time since 1970 [ns]."""
 _MAGICS = {
     b"# .PCD": ".pcd",
     b"#.PCD": ".pcd",
@@ -100,7 +103,7 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
         return None
     if found is not None and suffix not in CLOUD_SUFFIXES:
         raise UserError(f"{path} holds points as {found} under another name: rename it to {path.stem}{found}.")
-    clouds = CloudFiles(path, [path], [_FIRST_STAMP])
+    clouds = CloudFiles(path, [path], [FIRST_STAMP])
     if suffix in MAP_SUFFIXES:
         clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
     return suffix.lstrip("."), clouds
@@ -157,7 +160,7 @@ def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[i
     if len(named) == len(files):
         return [file for _, file in named], [stamp for stamp, _ in named], ""
     notice = "no times are recorded: the clouds are assumed to be 0.1 s apart" if len(files) > 1 else ""
-    return files, [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
+    return files, [FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
 
 
 def _natural(file: Path) -> tuple[tuple[str, float], ...]:
@@ -203,7 +206,7 @@ def read_stamps(path: Path, files: list[Path]) -> list[int]:
             raise UserError(f"{path} holds {len(values)} times for {len(files)} clouds; correct or remove it.")
         values = [values[line] for line in lines]
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
-    first = 0 if values[0] > 1.0 else _FIRST_STAMP
+    first = 0 if values[0] >= _UNITS[-1][0] else FIRST_STAMP
     if max(values) * unit >= STAMP_END - first:
         raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
     return [max(round(value * unit), 0) + first for value in values]
