@@ -123,8 +123,8 @@ def _header(path: Path, line: bytes) -> tuple[str, ...] | None:
         return names
     if any(name in names for name in ("qw", "qx", "qy", "qz")) and len(names) >= len(_TUM) - 1:
         raise UserError(
-            f"{path} has a header that does not name all columns of a pose, {one_line(ValueError(text))[:120]!r}: name them time x "
-            "y z qx qy qz qw, in the order of the file."
+            f"{path} has a header that does not name all columns of a pose, {one_line(ValueError(text))[:120]!r}: name "
+            "them time x y z qx qy qz qw, in the order of the file."
         )
     return None
 
