@@ -125,7 +125,7 @@ def _is_plausible(points: NDArray[np.floating]) -> bool:
         points = points.astype(np.float32)
         returns = (points != 0).any(axis=1)
         tiny = ((np.abs(points) < _TINY) & (points != 0)).any(axis=1)
-        return 2 * np.count_nonzero(valid_points(points) & ~tiny) >= np.count_nonzero(returns)
+        return bool(2 * np.count_nonzero(valid_points(points) & ~tiny) >= np.count_nonzero(returns))
 
 
 def _distinctness(samples: list[bytes], layout: BinLayout) -> float | None:

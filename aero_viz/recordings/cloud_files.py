@@ -113,6 +113,8 @@ class CloudFiles(CloudSequence):
         self._layout = find_layout(files) if files[0].suffix.lower() == ".bin" else None
         if self._layout is not None and not self._layout.is_common:
             self.notices.append(f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first")
+        self.damage: dict[Path, str] = {}
+        """Reasons why files could not be read so far."""
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
@@ -148,7 +150,12 @@ class CloudFiles(CloudSequence):
         return iter([(stamp, self._count) for stamp in self._stamps])
 
     def _load(self, index: int) -> StampedCloud:
-        stamp, (table, values) = self._stamps[index], self._read_points(self._files[index])
+        stamp, file = self._stamps[index], self._files[index]
+        try:
+            table, values = self._read_points(file)
+        except UserError as error:
+            self.damage[file] = str(error).split(str(file), 1)[-1].strip(": .")
+            raise
         with np.errstate(over="ignore", invalid="ignore"):
             points = (table - self._offset).astype(np.float32)
             valid = valid_points(points)

@@ -13,7 +13,7 @@ import numpy as np
 from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
-from aero_viz.recordings.bag_file import one_line
+from aero_viz.recordings.bag_file import list_names, one_line
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.imu_messages import ImuRows
 from aero_viz.recordings.ouster import ouster_sweeps
@@ -125,7 +125,8 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         if not folder.is_dir():
             continue
         named = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES]
-        files = [file for file in named if file.exists() and not file.is_dir()]  # other entries are reported as lost
+        files = [file for file in named if file.exists() and not file.is_dir()]
+        lost = [file.name for file in named if not file.exists()]
         if not files:
             continue
         suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]
@@ -135,6 +136,8 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         files, stamps, notice = _in_order(files, places)
         clouds = CloudFiles(path, files, stamps)
         clouds.notices += [notice] if notice else []
+        if lost:
+            clouds.notices.append(f"links to clouds that do not exist are left out: {list_names(sorted(lost))}")
         pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
         pose_file = pose_file or next((file for place in places for file in sorted(place.glob("*.tum"))), None)
         if pose_file is None:  # KITTI's raw data, or its odometry: poses/00.txt for sequences/00

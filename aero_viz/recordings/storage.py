@@ -14,7 +14,7 @@ import yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
-from aero_viz.recordings.bag_file import BagFile, one_line
+from aero_viz.recordings.bag_file import BagFile, list_names, one_line
 from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
@@ -177,7 +177,7 @@ def _open_folder(path: Path) -> Storage:
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise UserError(
-            f"{path} lacks {_list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
+            f"{path} lacks {list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
         )
     return Storage(path, [path / name for name in names], is_folder=True)
 
@@ -242,10 +242,6 @@ def _recordings_in(folder: Path) -> list[str]:
     return sorted(names)
 
 
-def _list_names(names: list[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
 def _missing(path: Path) -> str:
     parent = path.parent
     if not parent.is_dir():
@@ -255,11 +251,11 @@ def _missing(path: Path) -> str:
         return f"{path} does not exist; did you mean {' or '.join(close)}?"
     names = _recordings_in(parent)
     where = "this folder" if parent == Path() else parent
-    return f"{path} does not exist; {where} holds {_list_names(names) if names else 'no recording'}."
+    return f"{path} does not exist; {where} holds {list_names(names) if names else 'no recording'}."
 
 
 def _no_recording(path: Path) -> str:
     names = _recordings_in(path)
     if names:
-        return f"{path} is a folder of recordings, not one recording: choose one of {_list_names(names)}."
+        return f"{path} is a folder of recordings, not one recording: choose one of {list_names(names)}."
     return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}."

@@ -62,7 +62,7 @@ def read_timed_points(path: Path, process: DecodingProcess) -> tuple[Points, NDA
     """
     with _named(path, "cloud"):
         points, times = process.decode_points(path)
-    return _points(path, points), times
+    return _points(path, points, "cloud"), times
 
 
 def read_mesh(path: str | Path) -> Points:
@@ -146,9 +146,9 @@ def _named(path: Path, noun: str) -> Iterator[None]:
         raise UserError(f"Cannot read the {noun} {path}: {reason.rstrip('.')}.") from error
 
 
-def _points(path: Path, table: Points) -> Points:
+def _points(path: Path, table: Points, noun: str = "map") -> Points:
     if len(table) == 0:
-        raise UserError(f"{path} holds no finite points; give a map with at least one.")
+        raise UserError(f"{path} holds no finite points; give a {noun} with at least one.")
     return table
 
 
