@@ -43,6 +43,8 @@ _MAGICS = {
     b"LASF": ".las",
     b"\x93NUMPY": ".npy",
 }
+_DATE = re.compile(r"\d{4}-\d\d-\d\d ")
+"""Start of a date and a time of day (UTC), as in KITTI's raw data."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ULOG = b"ULog"
 _OSF = b"OSF"
@@ -133,9 +135,14 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         files = [file for file in files if file.suffix.lower() == suffix]
         inner = name or folder.name in {part for known in _SUBFOLDERS for part in known.split("/")}
         places = list(dict.fromkeys([folder, folder.parent, path] if inner else [folder]))
+        files = _without_maps(files)
+        others = sorted(file.name for file in named if file not in files and file.name not in lost)
         files, stamps, notice = _in_order(files, places)
         clouds = CloudFiles(path, files, stamps)
         clouds.notices += [notice] if notice else []
+        if others:
+            what = "are of another format or have names unlike those of the others"
+            clouds.notices.append(f"clouds that {what} are left out: {list_names(others)}")
         if lost:
             clouds.notices.append(f"links to clouds that do not exist are left out: {list_names(sorted(lost))}")
         pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
@@ -146,6 +153,13 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
             pose_file = next((file for file in kitti if file.exists()), None)
         return CloudFolder(f"folder of {suffix.lstrip('.')}", clouds, pose_file)
     return None
+
+
+def _without_maps(files: list[Path]) -> list[Path]:
+    """Return the files with a time or, without any times, a number in their names, if these are most; else all."""
+    timed = [file for file in files if _time_in_name(file) is not None]
+    numbered = [file for file in files if re.search(r"\d", file.stem)]
+    return next((some for some in (timed, numbered) if len(some) > max(len(files) // 2, 2)), files)
 
 
 def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[int], str]:
@@ -195,7 +209,7 @@ def read_stamps(path: Path, files: list[Path]) -> list[int]:
     """
     try:
         text = read_user_text(path, limit=TEXT_MAX)
-        values = [_seconds(line) for line in text.splitlines() if line.strip()]
+        values = _times_in(text)
         if not np.isfinite(values).all():
             raise ValueError("one of them is not finite")
     except OSError as error:
@@ -215,8 +229,31 @@ def read_stamps(path: Path, files: list[Path]) -> list[int]:
     return [max(round(value * unit), 0) + first for value in values]
 
 
-def _seconds(line: str) -> float:
-    """Return the time at the start of a line, which may be a date and a time of day (UTC), as in KITTI's raw data."""
-    if not re.match(r"\d{4}-\d\d-\d\d ", line):
-        return float(line.split()[0])
-    return datetime.fromisoformat(line.strip()[:26]).replace(tzinfo=timezone.utc).timestamp()
+def _times_in(text: str) -> list[float]:
+    """Return the times in the lines of a text: dates, or a column of numbers next to which others may have names.
+
+    Comments and a header are skipped. A column that only counts the lines is no time unless it is the only one.
+
+    Raises:
+        ValueError: a line is none of these.
+    """
+    lines = [line.strip() for line in text.splitlines() if line.strip() and line.strip()[0] not in "#%"]
+    if lines and _DATE.match(lines[0]):
+        return [datetime.fromisoformat(line[:26]).replace(tzinfo=timezone.utc).timestamp() for line in lines]
+    rows = [re.split(r"[,;\s]+", line) for line in lines]
+    if len(rows) > 1 and not any(map(_is_number, rows[0])) and any(map(_is_number, rows[1])):
+        del rows[0]
+    columns = [column for column in zip(*rows, strict=False) if any(map(_is_number, column))] or [
+        [row[0] for row in rows]
+    ]
+    numbers = [list(map(float, column)) for column in columns]
+    counts = [[first + i for i in range(len(rows))] for first in (0, 1)]
+    return next((column for column in numbers if column not in counts), numbers[0])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -43,7 +43,7 @@ _UNREAD = {
 _START = 512
 """Number of bytes from which the format of a file is found."""
 _METADATA_DEPTH = 20
-_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
+_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd", ".lvx2", ".osf", ".pcap")
 
 
 class Storage:
@@ -160,6 +160,8 @@ def open_storage(path: str | Path) -> Storage:
             return Storage(path, ros1, is_folder=False)
         from aero_viz.recordings.other_formats import open_cloud_folder
 
+        if _recordings_in(path):
+            raise UserError(_no_recording(path))
         if folder := open_cloud_folder(path):
             return Storage(path, [], is_folder=True, folder=folder)
         raise UserError(_no_recording(path))
@@ -257,5 +259,8 @@ def _missing(path: Path) -> str:
 def _no_recording(path: Path) -> str:
     names = _recordings_in(path)
     if names:
-        return f"{path} is a folder of recordings, not one recording: choose one of {list_names(names)}."
+        return (
+            f"{path} is a folder of recordings, not one recording: choose one of {list_names(names)}. Clouds play from "
+            "a folder of their own."
+        )
     return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}."
