@@ -43,6 +43,7 @@ _UNREAD = {
 _START = 512
 """Number of bytes from which the format of a file is found."""
 _METADATA_DEPTH = 20
+_PARTS_MAX = 100_000
 _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd", ".lvx2", ".osf", ".pcap")
 
 
@@ -136,6 +137,8 @@ def open_storage(path: str | Path) -> Storage:
 
     Raises UserError if there is none.
     """
+    if not str(path).strip():
+        raise UserError("The name of the recording is empty: give a file or a folder.")
     path = Path(path).expanduser()
     if path.name == "metadata.yaml" and path.is_file():
         path = path.parent
@@ -149,9 +152,13 @@ def open_storage(path: str | Path) -> Storage:
         files = sorted(path.iterdir())
         ros2 = [file for file in files if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
         # A recorder that is killed writes no metadata.yaml. The files of one recording differ only in a number.
-        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1:
+        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1 and _are_parts(ros2):
             storage = Storage(path, sorted(ros2, key=_part), is_folder=True)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
+            missing = sorted(set(range(_part(storage.files[-1].path))) - {_part(file) for file in ros2})
+            if missing and len(ros2) > 1:
+                names = list_names([re.sub(r"_\d+\.", f"_{number}.", ros2[0].name) for number in missing])
+                storage.problems.append(f"parts of the recording are missing, and with them their sweeps: copy {names}")
             return storage
         ros1 = sorted((file for file in files if re.search(r"\.bag(\.active)?$", file.name)), key=_part)
         # `rosbag record --split` appends the date and a number.
@@ -233,6 +240,14 @@ def readable(path: Path) -> Iterator[None]:
 def _part(file: Path) -> int:
     number = re.search(r"_(\d+)\.(mcap|db3|bag)(\.\w+)?$", file.name)
     return int(number[1]) if number else 0
+
+
+def _are_parts(files: list[Path]) -> bool:
+    """Return True for one file, or for files that rosbag2 numbered from 0 on. Parts may be missing."""
+    if len(files) < 2:
+        return True
+    numbers = {_part(file) for file in files if re.search(r"_\d+\.", file.name)}
+    return len(numbers) == len(files) and 0 in numbers and max(numbers) < _PARTS_MAX
 
 
 def _recordings_in(folder: Path) -> list[str]:

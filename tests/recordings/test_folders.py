@@ -197,3 +197,15 @@ def test_times_may_have_other_columns(tmp_path: Path, lines: str):
     (tmp_path / "timestamps.txt").write_text(lines.format(1_700_000_000.0, 1_700_000_000.25, 1_700_000_000.5))
     with open_recording(tmp_path) as recording:
         np.testing.assert_allclose(recording.sweep_times, [0, 0.25, 0.5], atol=1e-6)
+
+
+def test_parts_without_metadata_are_one_recording_only_if_they_are_numbered_from_zero(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    items = bags.drive()
+    bags.write_mcap(tmp_path / "rec_0.mcap", items[: len(items) // 2])
+    bags.write_mcap(tmp_path / "rec_2.mcap", items[len(items) // 2 :])
+    with open_recording(tmp_path) as recording:
+        assert any("copy rec_1.mcap" in problem for problem in recording.problems)
+    (tmp_path / "rec_0.mcap").rename(tmp_path / "rec_1.mcap")
+    assert "choose one of rec_1.mcap, rec_2.mcap" in run_refused(capsys, "inspect", str(tmp_path))
