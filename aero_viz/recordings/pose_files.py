@@ -103,6 +103,7 @@ def _damage_reported(path: Path) -> Iterator[None]:
         raise
     except Exception as error:  # the parser fails in many ways on damaged logs
         reason = f"a topic lacks the field {error}" if isinstance(error, KeyError) else one_line(error)
+        reason = "its records have impossible lengths" if isinstance(error, OSError) else reason
         raise UserError(f"{path} cannot be read and may be damaged or truncated: {reason}.") from error
 
 
