@@ -102,15 +102,17 @@ class CloudFiles(CloudSequence):
         path: the folder, or the only file.
         files: files in the order of time.
         stamps: their stamps [ns].
+        suffix: names their format; None takes that of the first file.
 
     Raises:
         UserError: the first files are all damaged.
     """
 
-    def __init__(self, path: Path, files: list[Path], stamps: list[int]) -> None:
+    def __init__(self, path: Path, files: list[Path], stamps: list[int], suffix: str | None = None) -> None:
         super().__init__(path, "/points", sum(file.stat().st_size for file in files))
         self._files, self._stamps = files, stamps
-        self._layout = find_layout(files) if files[0].suffix.lower() == ".bin" else None
+        self._suffix = suffix or files[0].suffix.lower()
+        self._layout = find_layout(files) if self._suffix == ".bin" else None
         if self._layout is not None and not self._layout.is_common:
             self.notices.append(f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first")
         self.damage: dict[Path, str] = {}
@@ -118,7 +120,7 @@ class CloudFiles(CloudSequence):
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
-            is_las = file.suffix.lower() in (".las", ".laz")
+            is_las = self._suffix in (".las", ".laz")
             units = self._process.las_units(file) if is_las else LasUnits()
         except BaseException:
             self._process.close()
@@ -170,7 +172,7 @@ class CloudFiles(CloudSequence):
         """Return points [n, 3] [m] and their times [n] as stored in the file, or None."""
         if self._layout is not None:
             return read_bin(path, self._layout), None
-        return read_timed_points(path, self._process)
+        return read_timed_points(path, self._process, self._suffix)
 
     def close(self) -> None:
         self._process.close()

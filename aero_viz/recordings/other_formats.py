@@ -103,10 +103,9 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
     if found is None and suffix not in (".bin", ".xyz", ".pts"):
         return None
-    if found is not None and suffix not in CLOUD_SUFFIXES:
-        raise UserError(f"{path} holds points as {found} under another name: rename it to {path.stem}{found}.")
-    clouds = CloudFiles(path, [path], [FIRST_STAMP])
-    if suffix in MAP_SUFFIXES:
+    suffix = found if found is not None and (found, suffix) != (".las", ".laz") else suffix
+    clouds = CloudFiles(path, [path], [FIRST_STAMP], suffix)
+    if path.suffix.lower() in MAP_SUFFIXES:
         clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
     return suffix.lstrip("."), clouds
 

@@ -55,13 +55,16 @@ def read_points(path: str | Path, process: DecodingProcess | None = None) -> Poi
     return _points(path, _decode(path, "map", "points", process))
 
 
-def read_timed_points(path: Path, process: DecodingProcess) -> tuple[Points, NDArray[Any] | None]:
+def read_timed_points(
+    path: Path, process: DecodingProcess, suffix: str | None = None
+) -> tuple[Points, NDArray[Any] | None]:
     """Return the points of a file as `read_points` does, and their times [n] as stored, or None.
 
-    PCD, PLY, LAS and LAZ may have times; their unit is that of `aero_viz.point_times`.
+    PCD, PLY, LAS, LAZ and NPY with named fields may have times; their unit is that of `aero_viz.point_times`. A suffix
+    names the format of a file that is named otherwise.
     """
     with _named(path, "cloud"):
-        points, times = process.decode_points(path)
+        points, times = process.decode_points(path, suffix)
     return _points(path, points, "cloud"), times
 
 
