@@ -112,6 +112,11 @@ def one_line(error: Exception) -> str:
     return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
 
 
+def list_names(names: list[str]) -> str:
+    """Return the first names, and the number of further ones."""
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
+
+
 def unwrap(data: bytes) -> bytes:
     """Return a message as it was published. With rosbag2's message compression each message is a zstd frame.
 

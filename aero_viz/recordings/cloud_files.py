@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
-from aero_viz.input_limits import SWEEP_POINTS_MAX, LimitExceeded, ReadingBudget
+from aero_viz.input_limits import LimitExceeded, ReadingBudget
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
+from aero_viz.recordings.bin_files import find_layout, read_bin
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
 from aero_viz.scenes.decoding_process import DecodingProcess
@@ -26,11 +26,10 @@ from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_timed_points
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
-"""Names of files that hold one cloud each. A .bin has rows of float32: see `read_bin`."""
+"""Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`."""
 _FRAME = "lidar"
 _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
-_BIN_ROW = 16
 _TRIED = 5
 """Largest number of damaged files at the start of a folder."""
 STAMP_END = 10**9 << 31
@@ -103,18 +102,25 @@ class CloudFiles(CloudSequence):
         path: the folder, or the only file.
         files: files in the order of time.
         stamps: their stamps [ns].
+        suffix: names their format; None takes that of the first file.
 
     Raises:
         UserError: the first files are all damaged.
     """
 
-    def __init__(self, path: Path, files: list[Path], stamps: list[int]) -> None:
+    def __init__(self, path: Path, files: list[Path], stamps: list[int], suffix: str | None = None) -> None:
         super().__init__(path, "/points", sum(file.stat().st_size for file in files))
         self._files, self._stamps = files, stamps
+        self._suffix = suffix or files[0].suffix.lower()
+        self._layout = find_layout(files) if self._suffix == ".bin" else None
+        if self._layout is not None and not self._layout.is_common:
+            self.notices.append(f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first")
+        self.damage: dict[Path, str] = {}
+        """Reasons why files could not be read so far."""
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
-            is_las = file.suffix.lower() in (".las", ".laz")
+            is_las = self._suffix in (".las", ".laz")
             units = self._process.las_units(file) if is_las else LasUnits()
         except BaseException:
             self._process.close()
@@ -146,7 +152,12 @@ class CloudFiles(CloudSequence):
         return iter([(stamp, self._count) for stamp in self._stamps])
 
     def _load(self, index: int) -> StampedCloud:
-        stamp, (table, values) = self._stamps[index], self._read_points(self._files[index])
+        stamp, file = self._stamps[index], self._files[index]
+        try:
+            table, values = self._read_points(file)
+        except UserError as error:
+            self.damage[file] = str(error).split(str(file), 1)[-1].strip(": .")
+            raise
         with np.errstate(over="ignore", invalid="ignore"):
             points = (table - self._offset).astype(np.float32)
             valid = valid_points(points)
@@ -159,48 +170,12 @@ class CloudFiles(CloudSequence):
 
     def _read_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         """Return points [n, 3] [m] and their times [n] as stored in the file, or None."""
-        return (read_bin(path), None) if path.suffix.lower() == ".bin" else read_timed_points(path, self._process)
+        if self._layout is not None:
+            return read_bin(path, self._layout), None
+        return read_timed_points(path, self._process, self._suffix)
 
     def close(self) -> None:
         self._process.close()
-
-
-def read_bin(path: Path) -> NDArray[np.float64]:
-    """Return the points of a cloud of KITTI (rows of x, y, z, intensity) or nuScenes (.. and ring) [n, 3] [m].
-
-    Raises:
-        UserError: the file cannot be read, has another size than such a cloud, or holds implausible points.
-    """
-    try:
-        with open_user_file(path) as file:
-            data = file.read((_BIN_ROW + 4) * SWEEP_POINTS_MAX + 1)
-    except OSError as error:
-        raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
-    with np.errstate(invalid="ignore"):  # the bytes may not be numbers
-        rows = _rows(data)
-    if rows is None:
-        raise UserError(
-            f"{path} is not a cloud of KITTI or nuScenes: its {path.stat().st_size} bytes are not rows of {_BIN_ROW} "
-            f"or {_BIN_ROW + 4}, or too many."
-        )
-    points = rows[:, :3]
-    returns = np.count_nonzero((points != 0).any(axis=1))
-    if 2 * np.count_nonzero(valid_points(points)) < returns:
-        raise UserError(
-            f"{path} is not a cloud of KITTI or nuScenes: read as float32, most of its {returns} points are not finite "
-            "or lie beyond the range of any LiDAR; give a file with rows of x, y, z [m] and intensity."
-        )
-    return points.astype(np.float64)
-
-
-def _rows(data: bytes) -> NDArray[np.float32] | None:
-    """Return the content of a .bin as rows of 4 or 5 values; None if its size fits neither."""
-    if data and not len(data) % (_BIN_ROW + 4):
-        rows = np.frombuffer(data, "<f4").reshape(-1, 5)
-        ring = rows[:, 4]
-        if len(data) % _BIN_ROW or ((ring >= 0) & (ring < 256) & (ring == np.floor(ring))).all():
-            return rows
-    return np.frombuffer(data, "<f4").reshape(-1, 4) if data and not len(data) % _BIN_ROW else None
 
 
 class PacketClouds(CloudSequence):

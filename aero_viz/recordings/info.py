@@ -11,6 +11,7 @@ import numpy as np
 from aero_viz.errors import UserError
 from aero_viz.recordings.contents import Topic, read_contents
 from aero_viz.recordings.findings import Finding, Measured, find_faults, measure
+from aero_viz.recordings.folder_check import count_points
 from aero_viz.recordings.recording import Recording, configure_recording
 from aero_viz.recordings.storage import open_storage, readable
 from aero_viz.recordings.topics import require_topics
@@ -103,17 +104,17 @@ def inspect(
             except UserError as error:
                 return replace(report, problems=(*contents.problems, str(error)))
             configure_recording(recording, storage, contents, **options)
-            counts = recording.sweep_counts
+            counts, notices = count_points(recording, storage)
             return replace(
                 report,
-                sweeps=len(counts),
+                sweeps=len(recording.sweep_times),
                 poses=0 if recording.poses is None else len(recording.poses.times),
                 points_topic=recording.points_topic,
                 pose_topic=recording.pose_topic,
                 measured=measure(recording),
                 findings=tuple(find_faults(recording)),
                 points_per_sweep=PointsPerSweep(int(counts.min()), int(np.median(counts)), int(counts.max())),
-                problems=tuple(recording.problems),
+                problems=(*recording.problems, *notices),
             )
     finally:
         storage.close()

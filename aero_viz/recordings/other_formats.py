@@ -13,7 +13,7 @@ import numpy as np
 from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
-from aero_viz.recordings.bag_file import one_line
+from aero_viz.recordings.bag_file import list_names, one_line
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.imu_messages import ImuRows
 from aero_viz.recordings.ouster import ouster_sweeps
@@ -29,8 +29,11 @@ from aero_viz.recordings.pcap import PCAP_MAGICS
 from aero_viz.scenes.map_files import MAP_SUFFIXES
 
 _PERIOD = 100_000_000
-_FIRST_STAMP = 1_000_000_000
-"""Stamp of the first cloud where none is known [ns]; zero would mean that it is unset."""
+FIRST_STAMP = 1_000_000_000
+"""Stamp of the first cloud where none is known [ns]; zero would mean that it is unset. Times that are not since 1970
+are counted from it."""
+SINCE_1970 = 10**17
+"""Smallest stamp that is a time since 1970 [ns]."""
 _MAGICS = {
     b"# .PCD": ".pcd",
     b"#.PCD": ".pcd",
@@ -40,6 +43,8 @@ _MAGICS = {
     b"LASF": ".las",
     b"\x93NUMPY": ".npy",
 }
+_DATE = re.compile(r"\d{4}-\d\d-\d\d ")
+"""Start of a date and a time of day (UTC), as in KITTI's raw data."""
 _PCAPNG = b"\x0a\x0d\x0d\x0a"
 _ULOG = b"ULog"
 _OSF = b"OSF"
@@ -98,10 +103,9 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
     if found is None and suffix not in (".bin", ".xyz", ".pts"):
         return None
-    if found is not None and suffix not in CLOUD_SUFFIXES:
-        raise UserError(f"{path} holds points as {found} under another name: rename it to {path.stem}{found}.")
-    clouds = CloudFiles(path, [path], [_FIRST_STAMP])
-    if suffix in MAP_SUFFIXES:
+    suffix = found if found is not None and (found, suffix) != (".las", ".laz") else suffix
+    clouds = CloudFiles(path, [path], [FIRST_STAMP], suffix)
+    if path.suffix.lower() in MAP_SUFFIXES:
         clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
     return suffix.lstrip("."), clouds
 
@@ -122,16 +126,24 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         if not folder.is_dir():
             continue
         named = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES]
-        files = [file for file in named if file.exists() and not file.is_dir()]  # other entries are reported as lost
+        files = [file for file in named if file.exists() and not file.is_dir()]
+        lost = [file.name for file in named if not file.exists()]
         if not files:
             continue
         suffix = Counter(file.suffix.lower() for file in files).most_common(1)[0][0]
         files = [file for file in files if file.suffix.lower() == suffix]
         inner = name or folder.name in {part for known in _SUBFOLDERS for part in known.split("/")}
         places = list(dict.fromkeys([folder, folder.parent, path] if inner else [folder]))
+        files = _without_maps(files)
+        others = sorted(file.name for file in named if file not in files and file.name not in lost)
         files, stamps, notice = _in_order(files, places)
         clouds = CloudFiles(path, files, stamps)
         clouds.notices += [notice] if notice else []
+        if others:
+            what = "are of another format or have names unlike those of the others"
+            clouds.notices.append(f"clouds that {what} are left out: {list_names(others)}")
+        if lost:
+            clouds.notices.append(f"links to clouds that do not exist are left out: {list_names(sorted(lost))}")
         pose_file = next((place / pose for place in places for pose in _POSES if (place / pose).is_file()), None)
         pose_file = pose_file or next((file for place in places for file in sorted(place.glob("*.tum"))), None)
         if pose_file is None:  # KITTI's raw data, or its odometry: poses/00.txt for sequences/00
@@ -140,6 +152,13 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
             pose_file = next((file for file in kitti if file.exists()), None)
         return CloudFolder(f"folder of {suffix.lstrip('.')}", clouds, pose_file)
     return None
+
+
+def _without_maps(files: list[Path]) -> list[Path]:
+    """Return the files with a time or, without any times, a number in their names, if these are most; else all."""
+    timed = [file for file in files if _time_in_name(file) is not None]
+    numbered = [file for file in files if re.search(r"\d", file.stem)]
+    return next((some for some in (timed, numbered) if len(some) > max(len(files) // 2, 2)), files)
 
 
 def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[int], str]:
@@ -157,7 +176,7 @@ def _in_order(files: list[Path], places: list[Path]) -> tuple[list[Path], list[i
     if len(named) == len(files):
         return [file for _, file in named], [stamp for stamp, _ in named], ""
     notice = "no times are recorded: the clouds are assumed to be 0.1 s apart" if len(files) > 1 else ""
-    return files, [_FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
+    return files, [FIRST_STAMP + _PERIOD * i for i in range(len(files))], notice
 
 
 def _natural(file: Path) -> tuple[tuple[str, float], ...]:
@@ -189,7 +208,7 @@ def read_stamps(path: Path, files: list[Path]) -> list[int]:
     """
     try:
         text = read_user_text(path, limit=TEXT_MAX)
-        values = [_seconds(line) for line in text.splitlines() if line.strip()]
+        values = _times_in(text)
         if not np.isfinite(values).all():
             raise ValueError("one of them is not finite")
     except OSError as error:
@@ -203,14 +222,37 @@ def read_stamps(path: Path, files: list[Path]) -> list[int]:
             raise UserError(f"{path} holds {len(values)} times for {len(files)} clouds; correct or remove it.")
         values = [values[line] for line in lines]
     unit = next((length for least, length in _UNITS if values[0] >= least), 1e9)
-    first = 0 if values[0] > 1.0 else _FIRST_STAMP
+    first = 0 if values[0] >= _UNITS[-1][0] else FIRST_STAMP
     if max(values) * unit >= STAMP_END - first:
         raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
     return [max(round(value * unit), 0) + first for value in values]
 
 
-def _seconds(line: str) -> float:
-    """Return the time at the start of a line, which may be a date and a time of day (UTC), as in KITTI's raw data."""
-    if not re.match(r"\d{4}-\d\d-\d\d ", line):
-        return float(line.split()[0])
-    return datetime.fromisoformat(line.strip()[:26]).replace(tzinfo=timezone.utc).timestamp()
+def _times_in(text: str) -> list[float]:
+    """Return the times in the lines of a text: dates, or a column of numbers next to which others may have names.
+
+    Comments and a header are skipped. A column that only counts the lines is no time unless it is the only one.
+
+    Raises:
+        ValueError: a line is none of these.
+    """
+    lines = [line.strip() for line in text.splitlines() if line.strip() and line.strip()[0] not in "#%"]
+    if lines and _DATE.match(lines[0]):
+        return [datetime.fromisoformat(line[:26]).replace(tzinfo=timezone.utc).timestamp() for line in lines]
+    rows = [re.split(r"[,;\s]+", line) for line in lines]
+    if len(rows) > 1 and not any(map(_is_number, rows[0])) and any(map(_is_number, rows[1])):
+        del rows[0]
+    columns = [column for column in zip(*rows, strict=False) if any(map(_is_number, column))] or [
+        [row[0] for row in rows]
+    ]
+    numbers = [list(map(float, column)) for column in columns]
+    counts = [[first + i for i in range(len(rows))] for first in (0, 1)]
+    return next((column for column in numbers if column not in counts), numbers[0])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -36,9 +36,11 @@ def udp_payloads(path: Path) -> Iterator[Datagram]:
     """
     with open_user_file(path) as file:
         head = file.read(24)
+        if len(head) < 24:
+            raise UserError(f"{path} is truncated in its header and holds no packets: capture or copy it again.")
         order = "<" if head[:4] in (PCAP_MAGICS[0], PCAP_MAGICS[2]) else ">"
         unit = 1 if head[:4] in PCAP_MAGICS[2:] else 1000
-        link = struct.unpack(f"{order}I", head[20:24])[0] & 0xFFFF if len(head) == 24 else 0
+        link = struct.unpack(f"{order}I", head[20:24])[0] & 0xFFFF
         if link not in _LINKS:
             raise UserError(f"{path} is a capture of link type {link}; capture on an Ethernet interface.")
         while record := file.read(16):

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +15,10 @@ from aero_planner.user_file import open_user_file, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
-from aero_viz.recordings.other_formats import is_oxts
+from aero_viz.recordings.other_formats import FIRST_STAMP, SINCE_1970, is_oxts
 from aero_viz.recordings.oxts import oxts_mount, read_oxts
-from aero_viz.recordings.poses import RecordedPoses
+from aero_viz.recordings.pose_tables import PoseTable, read_pose_text
+from aero_viz.recordings.poses import POSE_TOLERANCE, RecordedPoses
 from aero_viz.recordings.transforms import IDENTITY
 
 if TYPE_CHECKING:
@@ -28,35 +28,16 @@ T = TypeVar("T")
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
 _LINE_MAX = 4096  # [bytes]
-_NUMBERS_MAX = 1 << 26
-_LARGEST = 1e19
-"""Largest number in a table of poses, which is a time since 1970 [ns]."""
+_UNITS = {"": 1.0, "in milliseconds": 1e-3, "in microseconds": 1e-6, "in nanoseconds": 1e-9}
+_STEP_MIN, _STEP_MAX = 5e-4, 5.0
+"""Shortest and longest plausible time between two poses of a text [s]; others are in another unit."""
 _SQRT_HALF = float(np.sqrt(0.5))
 _NED_TO_ENU = np.array([0.0, _SQRT_HALF, _SQRT_HALF, 0.0])
 _FLU_TO_FRD = np.array([0.0, 1.0, 0.0, 0.0])
 
 
-class PoseTable(NamedTuple):
-    """The poses in a file."""
-
-    format: str
-    """"TUM", "KITTI", "KITTI's oxts" or "ULog"."""
-    times: NDArray[np.float64] | None
-    """[n] [s] on the file's own clock; None for KITTI, which has one pose per sweep."""
-    positions: NDArray[np.float64]
-    """[n, 3] [m], world z up."""
-    quaternions: NDArray[np.float64]
-    """[n, 4] w, x, y, z."""
-    twists: NDArray[np.float64] | None
-    """Velocities in the body frame [n, 3] [m/s]."""
-    utc: float | None = None
-    """Time since 1970 at time 0 of the file's clock [s], None where it is not known."""
-
-
 def read_pose_file(path: Path) -> PoseTable:
     """Return the poses in a file, whose content decides its format, or in a folder oxts of KITTI's raw data.
-
-    TUM: lines of time x y z qx qy qz qw. KITTI: lines of the 12 numbers of a 3 x 4 matrix.
 
     Raises:
         UserError: the file cannot be read or is of another format.
@@ -67,51 +48,11 @@ def read_pose_file(path: Path) -> PoseTable:
         with open_user_file(path) as file:
             is_ulog = file.read(len(ULOG_MAGIC)) == ULOG_MAGIC
             file.seek(0)
-            table = np.zeros((0, 0)) if is_ulog else _read_table(path, file)
+            if not is_ulog:
+                return read_pose_text(path, file)
     except OSError as error:
         raise UserError(f"Cannot read the poses {path}: {error.strerror or error}.") from error
-    if is_ulog:
-        return read_in_process(_read_ulog, path)
-    finite = np.isfinite(table).all(axis=1)
-    if not finite.all():
-        raise UserError(f"{path} holds numbers that are not finite: see pose {int(np.argmin(finite)) + 1}.")
-    if np.abs(table).max() > _LARGEST:
-        raise UserError(f"{path} holds impossible numbers: see pose {int(np.abs(table).max(axis=1).argmax()) + 1}.")
-    if table.shape[1] == 12:
-        matrices = table.reshape(-1, 3, 4)
-        rotation = matrices[:, :, :3]
-        if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
-            raise UserError(f"{path} is not KITTI text: its matrices are not rotations.")
-        return PoseTable("KITTI", None, matrices[:, :, 3], quaternion_of_matrix(rotation), None)
-    quaternions = table[:, [7, 4, 5, 6]]
-    norms = np.linalg.norm(quaternions, axis=1)
-    if (np.abs(norms - 1.0) > 0.1).any():
-        line = int(np.flatnonzero(np.abs(norms - 1.0) > 0.1)[0]) + 1
-        raise UserError(f"{path} is not TUM text: the quaternion of pose {line} has the length {norms[line - 1]:.2f}.")
-    return PoseTable("TUM", table[:, 0], table[:, 1:4], quaternions / norms[:, None], None)
-
-
-def _read_table(path: Path, file: BinaryIO) -> NDArray[np.float64]:
-    """Return the numbers in the lines of a text [n, 8] or [n, 12]."""
-    numbers, width = array("d"), 0
-    while line := file.readline(_LINE_MAX):
-        words = line.replace(b",", b" ").split()
-        if not words or line.startswith(b"#"):
-            continue
-        width = width or len(words)
-        if len(words) != width or width not in (8, 12):
-            raise UserError(
-                f"{path} holds no poses: every line must have 8 numbers (TUM: time x y z qx qy qz qw) or 12 (KITTI)."
-            )
-        try:
-            numbers.extend(map(float, words))
-        except ValueError as error:
-            raise UserError(f"{path} holds something else than numbers: {one_line(error)}.") from error
-        if len(numbers) > _NUMBERS_MAX:
-            raise UserError(f"{path} holds more than {_NUMBERS_MAX // width} poses; cut it.")
-    if not numbers:
-        raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.")
-    return np.frombuffer(numbers, np.float64).reshape(-1, width)
+    return read_in_process(_read_ulog, path)
 
 
 def read_in_process(function: Callable[[Path], T], path: Path) -> T:
@@ -162,6 +103,7 @@ def _damage_reported(path: Path) -> Iterator[None]:
         raise
     except Exception as error:  # the parser fails in many ways on damaged logs
         reason = f"a topic lacks the field {error}" if isinstance(error, KeyError) else one_line(error)
+        reason = "its records have impossible lengths" if isinstance(error, OSError) else reason
         raise UserError(f"{path} cannot be read and may be damaged or truncated: {reason}.") from error
 
 
@@ -199,15 +141,16 @@ def _utc(data: dict[str, dict[str, NDArray[np.generic]]]) -> float | None:
 def add_poses(recording: Recording, path: Path) -> None:
     """Play a recording with the poses of a file.
 
-    Times are those of the sweeps' stamps, or since the first sweep. A ULog, whose clock starts with the autopilot, is
-    aligned by its GPS time; without it, its first pose is assigned to the first sweep.
+    Times are those of the sweeps' stamps where they overlap these, else since the first sweep; in s, ms, us or ns,
+    whichever fits the sweeps. A ULog, whose clock starts with the autopilot, is aligned by its GPS time; without it,
+    its first pose is assigned to the first sweep.
 
     Raises:
         UserError: the file holds no poses, or none during the sweeps.
     """
     table = read_pose_file(path)
     sweeps = recording.sweep_times
-    notices = [f"poses are those of {path.name} ({table.format})"]
+    notices = [f"poses are those of {path.name} ({table.format})", *([table.notice] if table.notice else [])]
     if table.times is None:
         if len(table.positions) != len(sweeps):
             raise UserError(
@@ -220,12 +163,9 @@ def add_poses(recording: Recording, path: Path) -> None:
             table = _move_to_sensor(table, camera)
             notices.append(f"{path.name} holds the poses of a camera: {name} moves them to the LiDAR")
     else:
-        start, first = recording.start * 1e-9, table.times[0]
-        candidates = [("", table.times - start), ("counted from the first sweep", table.times)]
-        if table.utc is not None:
-            candidates.insert(0, ("aligned by GPS time", table.times + table.utc - start))
-        candidates.append(("the first pose is assumed to be that of the first sweep", table.times - first))
-        choice, times = next((c for c in candidates if _overlaps(c[1], sweeps)), candidates[-1])
+        is_shifted = recording.format.startswith("folder") and recording.start < SINCE_1970
+        start = 1e-9 * (recording.start - FIRST_STAMP * is_shifted)
+        times, choice = _align(table, sweeps, start)
         notices += [f"the times of {path.name}: {choice}"] if choice else []
     if is_oxts(path) and recording.extrinsic is IDENTITY and (imu := oxts_mount(path)):
         recording.mount(imu[1])
@@ -262,6 +202,57 @@ def _move_to_sensor(table: PoseTable, mount: NDArray[np.float64]) -> PoseTable:
     return table._replace(positions=poses[:, :3, 3], quaternions=quaternion_of_matrix(poses[:, :3, :3]))
 
 
-def _overlaps(times: NDArray[np.float64], sweeps: NDArray[np.float64]) -> bool:
-    inside = (sweeps >= times.min()) & (sweeps <= times.max())
-    return bool(inside.mean() > 0.5)
+def _align(table: PoseTable, sweeps: NDArray[np.float64], start: float) -> tuple[NDArray[np.float64], str]:
+    """Return the times of poses from the first sweep on [n] [s], and the assumptions behind them.
+
+    Stamps that overlap those of the sweeps are taken as they are, in the unit in which they do.
+
+    Args:
+        table: poses with times.
+        sweeps: times of the sweeps from the first one on [m] [s], ascending.
+        start: stamp of the first sweep [s].
+    """
+    ways: list[tuple[str, float | None, float]] = [("", start, 0.0)]
+    """Their names, the time that becomes zero, and the least part of the sweeps that they must cover."""
+    if table.utc is not None:
+        ways.insert(0, ("aligned by GPS time", start - table.utc, 0.0))
+    ways += [("counted from the first sweep", 0.0, 0.5)] if table.format == "TUM" else []
+    ways.append(("the first pose is assumed to be that of the first sweep", None, 1.0))
+    fits = [(choice, least, *_best_unit(table, sweeps, zero)) for choice, zero, least in ways]
+    for is_plausible in (True, False):
+        for choice, least, unit, scaled, share in fits:
+            inside = np.mean((sweeps >= scaled.min()) & (sweeps <= scaled.max()))
+            if inside > least and (share > 0.0 or not is_plausible):
+                return scaled, ", ".join(filter(None, (choice, unit)))
+    choice, _, unit, scaled, _ = fits[-1]
+    return scaled, ", ".join(filter(None, (choice, unit)))
+
+
+def _best_unit(
+    table: PoseTable, sweeps: NDArray[np.float64], zero: float | None
+) -> tuple[str, NDArray[np.float64], float]:
+    """Return the unit in which times fit the sweeps best, the times after zero [n] [s], and how well they fit, 0 to 1.
+
+    The measure is the time that poses and sweeps have in common, as a share of the time that either has. It is 0 where
+    poses would be implausibly close or far apart in every unit; then the unit is the second, whose name is empty.
+
+    Args:
+        table: poses with times.
+        sweeps: times of the sweeps [m] [s], ascending.
+        zero: time that becomes zero [s]; None takes that of the first pose.
+    """
+    assert table.times is not None
+    times = table.times
+    if zero is None:
+        times, zero = times - times[0], 0.0
+    end = sweeps[-1] + POSE_TOLERANCE
+    step = np.median(np.diff(np.sort(times))) if len(times) > 1 else 0.0
+    best = ("", times - zero, 0.0)
+    for name, unit in _UNITS.items() if table.format == "TUM" else [("", 1.0)]:
+        scaled = times * unit - zero
+        start, stop = scaled.min(), scaled.max()
+        common = min(stop, end) - max(start, sweeps[0])
+        share = max(float(common), 0.0) / max(float(max(stop, end) - min(start, sweeps[0])), 1e-9)
+        if share > best[2] and (not step or _STEP_MIN <= step * unit < _STEP_MAX):
+            best = (name, scaled, share)
+    return best

@@ -14,7 +14,7 @@ import yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
-from aero_viz.recordings.bag_file import BagFile, one_line
+from aero_viz.recordings.bag_file import BagFile, list_names, one_line
 from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
@@ -43,7 +43,8 @@ _UNREAD = {
 _START = 512
 """Number of bytes from which the format of a file is found."""
 _METADATA_DEPTH = 20
-_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd")
+_PARTS_MAX = 100_000
+_SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd", ".lvx2", ".osf", ".pcap")
 
 
 class Storage:
@@ -136,6 +137,8 @@ def open_storage(path: str | Path) -> Storage:
 
     Raises UserError if there is none.
     """
+    if not str(path).strip():
+        raise UserError("The name of the recording is empty: give a file or a folder.")
     path = Path(path).expanduser()
     if path.name == "metadata.yaml" and path.is_file():
         path = path.parent
@@ -149,9 +152,13 @@ def open_storage(path: str | Path) -> Storage:
         files = sorted(path.iterdir())
         ros2 = [file for file in files if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
         # A recorder that is killed writes no metadata.yaml. The files of one recording differ only in a number.
-        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1:
+        if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1 and _are_parts(ros2):
             storage = Storage(path, sorted(ros2, key=_part), is_folder=True)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
+            missing = sorted(set(range(_part(storage.files[-1].path))) - {_part(file) for file in ros2})
+            if missing and len(ros2) > 1:
+                names = list_names([re.sub(r"_\d+\.", f"_{number}.", ros2[0].name) for number in missing])
+                storage.problems.append(f"parts of the recording are missing, and with them their sweeps: copy {names}")
             return storage
         ros1 = sorted((file for file in files if re.search(r"\.bag(\.active)?$", file.name)), key=_part)
         # `rosbag record --split` appends the date and a number.
@@ -160,6 +167,8 @@ def open_storage(path: str | Path) -> Storage:
             return Storage(path, ros1, is_folder=False)
         from aero_viz.recordings.other_formats import open_cloud_folder
 
+        if _recordings_in(path):
+            raise UserError(_no_recording(path))
         if folder := open_cloud_folder(path):
             return Storage(path, [], is_folder=True, folder=folder)
         raise UserError(_no_recording(path))
@@ -177,7 +186,7 @@ def _open_folder(path: Path) -> Storage:
     missing = [name for name in names if not (path / name).is_file()]
     if missing or not names:
         raise UserError(
-            f"{path} lacks {_list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
+            f"{path} lacks {list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
         )
     return Storage(path, [path / name for name in names], is_folder=True)
 
@@ -233,6 +242,14 @@ def _part(file: Path) -> int:
     return int(number[1]) if number else 0
 
 
+def _are_parts(files: list[Path]) -> bool:
+    """Return True for one file, or for files that rosbag2 numbered from 0 on. Parts may be missing."""
+    if len(files) < 2:
+        return True
+    numbers = {_part(file) for file in files if re.search(r"_\d+\.", file.name)}
+    return len(numbers) == len(files) and 0 in numbers and max(numbers) < _PARTS_MAX
+
+
 def _recordings_in(folder: Path) -> list[str]:
     """Return the names of the recordings in a folder, judged by their suffixes."""
     names = []
@@ -240,10 +257,6 @@ def _recordings_in(folder: Path) -> list[str]:
         if entry.suffix in _SUFFIXES or (entry.is_dir() and (entry / "metadata.yaml").is_file()):
             names.append(entry.name)
     return sorted(names)
-
-
-def _list_names(names: list[str]) -> str:
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def _missing(path: Path) -> str:
@@ -255,11 +268,14 @@ def _missing(path: Path) -> str:
         return f"{path} does not exist; did you mean {' or '.join(close)}?"
     names = _recordings_in(parent)
     where = "this folder" if parent == Path() else parent
-    return f"{path} does not exist; {where} holds {_list_names(names) if names else 'no recording'}."
+    return f"{path} does not exist; {where} holds {list_names(names) if names else 'no recording'}."
 
 
 def _no_recording(path: Path) -> str:
     names = _recordings_in(path)
     if names:
-        return f"{path} is a folder of recordings, not one recording: choose one of {_list_names(names)}."
+        return (
+            f"{path} is a folder of recordings, not one recording: choose one of {list_names(names)}. Clouds play from "
+            "a folder of their own."
+        )
     return f"{path} is a folder without a recording; AERO-Viz reads {SUPPORTED}."

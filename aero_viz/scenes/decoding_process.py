@@ -33,13 +33,13 @@ class DecodingProcess:
         """
         return self._run(path, _decode, content)
 
-    def decode_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+    def decode_points(self, path: Path, suffix: str | None = None) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         """Return the result of `aero_viz.scenes.map_decoders.decode_points`.
 
         Raises:
             OSError, ValueError: as for `decode`.
         """
-        return self._run(path, _decode_points)
+        return self._run(path, _decode_points, suffix)
 
     def las_units(self, path: Path) -> LasUnits:
         """Return the units of a LAS or LAZ file.
@@ -82,11 +82,11 @@ def _decode(path: Path, content: str) -> NDArray[np.float64]:
         return np.ascontiguousarray(decode(path, content), dtype=np.float64)
 
 
-def _decode_points(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
+def _decode_points(path: Path, suffix: str | None) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     from aero_viz.scenes.map_decoders import decode_points
 
     with _one_sentence():
-        return decode_points(path)
+        return decode_points(path, suffix)
 
 
 def _las_units(path: Path) -> LasUnits:

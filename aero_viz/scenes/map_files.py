@@ -55,14 +55,17 @@ def read_points(path: str | Path, process: DecodingProcess | None = None) -> Poi
     return _points(path, _decode(path, "map", "points", process))
 
 
-def read_timed_points(path: Path, process: DecodingProcess) -> tuple[Points, NDArray[Any] | None]:
+def read_timed_points(
+    path: Path, process: DecodingProcess, suffix: str | None = None
+) -> tuple[Points, NDArray[Any] | None]:
     """Return the points of a file as `read_points` does, and their times [n] as stored, or None.
 
-    PCD, PLY, LAS and LAZ may have times; their unit is that of `aero_viz.point_times`.
+    PCD, PLY, LAS, LAZ and NPY with named fields may have times; their unit is that of `aero_viz.point_times`. A suffix
+    names the format of a file that is named otherwise.
     """
     with _named(path, "cloud"):
-        points, times = process.decode_points(path)
-    return _points(path, points), times
+        points, times = process.decode_points(path, suffix)
+    return _points(path, points, "cloud"), times
 
 
 def read_mesh(path: str | Path) -> Points:
@@ -146,9 +149,9 @@ def _named(path: Path, noun: str) -> Iterator[None]:
         raise UserError(f"Cannot read the {noun} {path}: {reason.rstrip('.')}.") from error
 
 
-def _points(path: Path, table: Points) -> Points:
+def _points(path: Path, table: Points, noun: str = "map") -> Points:
     if len(table) == 0:
-        raise UserError(f"{path} holds no finite points; give a map with at least one.")
+        raise UserError(f"{path} holds no finite points; give a {noun} with at least one.")
     return table
 
 

@@ -162,3 +162,50 @@ def test_a_compressed_file_opens_as_the_file_in_it(tmp_path: Path, suffix: str):
     with pytest.raises(UserError) as caught:
         open_recording(packed)
     assert str(packed) in str(caught.value)
+
+
+def test_clouds_that_are_no_sweeps_are_left_out_with_a_note(tmp_path: Path):
+    write_bins(tmp_path, [f"{1_700_000_000 + k}.000.bin" for k in range(4)])
+    write_bins(tmp_path, ["GlobalMap.bin"])
+    np.save(tmp_path / "5.npy", WALL)
+    with open_recording(tmp_path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, [0, 1, 2, 3])
+        (said,) = [problem for problem in recording.problems if "left out" in problem]
+        assert said.endswith(": 5.npy, GlobalMap.bin")
+
+
+def test_a_folder_of_bags_and_clouds_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for name in "ab":
+        bags.write_ros1(tmp_path / f"{name}.bag", bags.drive())
+    np.save(tmp_path / "map.npy", WALL)
+    assert "choose one of a.bag, b.bag. Clouds play from a folder" in run_refused(capsys, "inspect", str(tmp_path))
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "0 {0}\n1 {1}\n2 {2}\n",
+        "1,{0}\n2,{1}\n3,{2}\n",
+        "#timestamp [s],filename\n{0},0.bin\n{1},1.bin\n{2},2.bin\n",
+        "index time\n0 {0}\n1 {1}\n2 {2}\n",
+        "0.bin {0}\n1.bin {1}\n2.bin {2}\n",
+        "{0} 0\n{1} 1\n{2} 2\n",
+    ],
+)
+def test_times_may_have_other_columns(tmp_path: Path, lines: str):
+    write_bins(tmp_path, [f"{k}.bin" for k in range(3)])
+    (tmp_path / "timestamps.txt").write_text(lines.format(1_700_000_000.0, 1_700_000_000.25, 1_700_000_000.5))
+    with open_recording(tmp_path) as recording:
+        np.testing.assert_allclose(recording.sweep_times, [0, 0.25, 0.5], atol=1e-6)
+
+
+def test_parts_without_metadata_are_one_recording_only_if_they_are_numbered_from_zero(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    items = bags.drive()
+    bags.write_mcap(tmp_path / "rec_0.mcap", items[: len(items) // 2])
+    bags.write_mcap(tmp_path / "rec_2.mcap", items[len(items) // 2 :])
+    with open_recording(tmp_path) as recording:
+        assert any("copy rec_1.mcap" in problem for problem in recording.problems)
+    (tmp_path / "rec_0.mcap").rename(tmp_path / "rec_1.mcap")
+    assert "choose one of rec_1.mcap, rec_2.mcap" in run_refused(capsys, "inspect", str(tmp_path))

@@ -178,13 +178,14 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
     [
         ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
         ("flight.ulg", b"ULog\x01\x12\x35\x01", "flight.ulg cannot be read"),
-        ("odd.bin", bytes(17), "not rows of 16 or 20"),
+        ("odd.bin", bytes(17), "not rows of 3 to 8 numbers"),
         ("random.bin", np.random.default_rng(0).bytes(16_000), "beyond the range of any LiDAR"),
         ("text.bin", b"These are not points" * 100, "beyond the range of any LiDAR"),
         ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
         ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
         ("scan.e57", b"ASTM-E57" + bytes(40), "pdal translate"),
-        ("cloud.dat", b"ply\nformat ascii 1.0\n", "rename it to cloud.ply"),
+        ("garbage.npy", b"\x93NUMPY\x07\x09" + bytes(range(255, 100, -1)), "header is damaged"),
+        ("head.pcap", b"\xd4\xc3\xb2\xa1", "truncated in its header"),
         ("empty.pcap", b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0", "no packets of a Livox"),
     ],
 )
@@ -195,6 +196,34 @@ def test_what_cannot_be_played_names_the_next_step(
     path.write_bytes(content)
     error = run_refused(capsys, "inspect", str(path))
     assert message in error and name in error
+
+
+def test_the_bytes_of_a_cloud_decide_its_format(tmp_path: Path):
+    write_open3d(tmp_path / "cloud.pcd", WALL)
+    for name in ("cloud", "cloud.ply"):
+        (tmp_path / name).write_bytes((tmp_path / "cloud.pcd").read_bytes())
+        with open_recording(tmp_path / name) as recording:
+            assert recording.format == "pcd"
+            np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-4)
+
+
+def test_arrays_may_have_a_row_per_coordinate_or_named_fields(tmp_path: Path):
+    np.save(tmp_path / "rows.npy", WALL.T)
+    times = 1000 * np.arange(len(WALL), dtype=np.uint32)
+    np.save(
+        tmp_path / "named.npy",
+        np.rec.fromarrays([times, *WALL.T], np.dtype([("t", "u4"), ("x", "f4"), ("y", "f4"), ("z", "f4")])),
+    )
+    for name in ("rows", "named"):
+        with open_recording(tmp_path / f"{name}.npy") as recording:
+            np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-4)
+    np.save(tmp_path / "odd.npy", np.rec.fromarrays([*WALL.T], np.dtype([("x", "f4"), ("y", "f4"), ("height", "f4")])))
+    with pytest.raises(UserError, match="no field z"):
+        open_recording(tmp_path / "odd.npy")
+
+
+def test_an_empty_name_is_refused(capsys: pytest.CaptureFixture[str]):
+    assert "name of the recording is empty" in run_refused(capsys, "inspect", "")
 
 
 def test_a_bin_may_hold_missing_returns_and_some_damaged_points(tmp_path: Path):
