@@ -99,7 +99,9 @@ NPY = {
     "texts": np.full((4, 3), "a"),
     "dates": np.zeros((4, 3), "datetime64[s]"),
     "objects": np.full((4, 3), None),
-    "records": np.zeros(4, [("x", "f4"), ("y", "f4"), ("z", "f4")]),
+    "records": np.zeros(4, [("x", "f4"), ("y", "f4"), ("height", "f4")]),
+    "records of texts": np.zeros(4, [("x", "U1"), ("y", "f4"), ("z", "f4")]),
+    "records of objects": np.zeros(4, [("x", "O"), ("y", "f4"), ("z", "f4")]),
     "no number": np.array(1.0),
 }
 
