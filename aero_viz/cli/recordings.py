@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -12,6 +13,9 @@ from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.recording import Recording
 
 _RECORDING = RecordingFlags()
 
@@ -31,7 +35,10 @@ def inspect(file: FileName, *, recording_flags: Inline[RecordingFlags] = _RECORD
     if is_px4_log(Path(file)):
         print_report(check_px4_log(Path(file)), as_json=json)
         return
-    print_report(inspect_recording(file, **recording_flags.options()), as_json=json)
+    report = inspect_recording(file, **recording_flags.options())
+    print_report(report, as_json=json)
+    if not report.sweeps:
+        raise SystemExit(2)
 
 
 def convert(
@@ -80,6 +87,7 @@ def convert(
         with contextlib.closing(open_storage(file)) as storage:
             refuse_source(output, storage)
     check_output_files(output, overwrite=overwrite)
+    _refuse_playback_flags(recording_flags)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:
 
@@ -97,8 +105,33 @@ def convert(
             print_report(report, as_json=json)
 
         if recording_flags == _RECORDING:
-            return write()
+            with _poses_of_folder(file) as recording:
+                return write(recording=recording)
         options = recording_flags.options()
         options["progress"] = lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps")
         with open_recording(file, **options) as recording:
             write(recording=recording)
+
+
+def _refuse_playback_flags(flags: RecordingFlags) -> None:
+    """Refuse flags that would change nothing in the file."""
+    if flags.mask is not None:
+        raise UserError("--mask applies when a recording is played; leave it out here, and give it to `aero-viz play`.")
+    if flags.extrinsic is not None and flags.poses is None and flags.odometry == "none":
+        raise UserError(
+            "--extrinsic is written with the poses of --poses or --odometry only; leave it out here, and give it to "
+            "`aero-viz play`, or publish the mounting on /tf_static."
+        )
+
+
+@contextlib.contextmanager
+def _poses_of_folder(file: FileName) -> Iterator[Recording | None]:
+    """Open a folder that can be played, whose poses may be in a file of their own; None for all others."""
+    from aero_viz.recordings import open_recording
+
+    with contextlib.ExitStack() as stack:
+        recording = None
+        if Path(file).is_dir():
+            with contextlib.suppress(UserError):  # what cannot be played is copied as it is
+                recording = stack.enter_context(open_recording(file))
+        yield recording

@@ -18,9 +18,10 @@ from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import BagFile, Channel, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
-from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.contents import Contents, read_contents
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
+from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import (
     ENCODINGS,
@@ -34,7 +35,9 @@ from aero_viz.recordings.ros_messages import (
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
-_ODOMETRY_TOPICS = ("/odometry", "/tf")
+_STATIC_TOPIC = "/tf_static"
+_SAME_CLOCK = 10.0
+"""Stamps and times of recording that differ by less are of one clock [s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,7 +76,8 @@ def convert(
 ) -> ConvertReport:
     """Write the messages of a recording with their stamps and times of recording. An existing file is replaced.
 
-    Messages of ROS 1 become those of ROS 2, and Livox's own clouds PointCloud2.
+    Messages of ROS 1 become those of ROS 2, and Livox's own clouds PointCloud2. Static transforms are written whatever
+    the times and topics, since the mounting of the sensor holds for every part.
 
     Args:
         source: recording.
@@ -103,12 +107,12 @@ def convert(
             names = ", ".join(topic.name for topic in contents.topics)
             raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}.")
         first = contents.first or 0
-        window = (first + start * 1e9, first + end * 1e9)
+        window = first + _nanoseconds(start), first + _nanoseconds(end)
         try:
             with whole_file(target) as partial, partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
                 if recording is not None and recording.pose_origin in ("file", "odometry"):
-                    output.write_poses(recording, window)
+                    output.write_poses(recording, window, lag=_recording_lag(contents, recording.points_topic))
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
@@ -151,22 +155,24 @@ class _Output:
         writer.start(profile="ros2", library="aero-viz")
 
     def copy(
-        self, bag: BagFile, window: tuple[float, float], topics: Collection[str], progress: Callable[[int], None]
+        self, bag: BagFile, window: tuple[int, int], topics: Collection[str], progress: Callable[[int], None]
     ) -> None:
-        """Write the messages of a file."""
+        """Write the messages of a file. Static transforms from before the window are written at its start."""
         for message in bag.scan(()):
-            channel = message.channel
-            if (topics and channel.topic not in topics) or not window[0] <= message.time <= window[1]:
+            channel, time = message.channel, message.time
+            if channel.topic == _STATIC_TOPIC:
+                time = max(time, window[0])
+            elif topics and channel.topic not in topics:
                 continue
-            if channel.topic in self.left_out:
+            if channel.topic in self.left_out or not window[0] <= time <= window[1]:
                 continue
-            if self._own_poses and channel.topic in _ODOMETRY_TOPICS:
+            if self._own_poses and channel.type in (*POSE_TYPES, *TF_TYPES):
                 self.left_out[channel.topic] = "other poses take its place"
                 continue
-            progress(message.time)
-            self._copy_message(bag, message)
+            progress(time)
+            self._copy_message(bag, message, time)
 
-    def _copy_message(self, bag: BagFile, message: Message) -> None:
+    def _copy_message(self, bag: BagFile, message: Message, time: int) -> None:
         channel = message.channel
         kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
         kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind != LASER_SCAN else kind
@@ -180,7 +186,7 @@ class _Output:
                 data = self._converted(bag.read(message.position), channel)
             except ValueError:
                 return  # a damaged message; `inspect` counts them
-            self._add(Encoded(channel.topic, kind, data), message.time, definition)
+            self._add(Encoded(channel.topic, kind, data), time, definition)
 
     def _converted(self, data: bytes, channel: Channel) -> bytes:
         if channel.type == POINT_CLOUD2 and self._decimate > 1:
@@ -195,25 +201,31 @@ class _Output:
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data
 
-    def write_poses(self, recording: Recording, window: tuple[float, float]) -> None:
-        """Write the poses of a recording as /odometry and /tf, and the frame of the clouds as that of the body."""
+    def write_poses(self, recording: Recording, window: tuple[int, int], *, lag: int) -> None:
+        """Write the poses of a recording as /odometry and /tf, and the mounting of the sensor as /tf_static.
+
+        Args:
+            recording: the recording.
+            window: first and last time of recording [ns].
+            lag: time from the stamps of the sweeps to their times of recording [ns].
+        """
         poses = recording.poses
         assert poses is not None
         self._own_poses = True
         written = 0
         for i, time in enumerate(poses.times):
             stamp = recording.start + round(1e9 * float(time))
-            if window[0] <= stamp <= window[1]:
+            if window[0] <= stamp + lag <= window[1]:
                 state = VehicleState(
                     poses.positions[i] + poses.offset, poses.velocities[i], poses.quaternions[i], time=float(time)
                 )
                 for message in pose_messages(state, stamp):
-                    self._add(message, stamp, DEFINITIONS[message.kind])
+                    self._add(message, stamp + lag, DEFINITIONS[message.kind])
                 written += 1
         if written and recording.cloud_frame != BODY:
-            stamp = max(recording.start, round(window[0]))
-            data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, stamp)
-            self._add(Encoded("/tf_static", TF_TYPES[0], data), stamp, DEFINITIONS[TF_TYPES[0]])
+            time = max(recording.start + lag, window[0])
+            data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, time - lag)
+            self._add(Encoded(_STATIC_TOPIC, TF_TYPES[0], data), time, DEFINITIONS[TF_TYPES[0]])
 
     def _add(self, message: Encoded, time: int, definition: str) -> None:
         key = (message.topic, message.kind)
@@ -226,6 +238,18 @@ class _Output:
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()
+
+
+def _nanoseconds(seconds: float) -> int:
+    """Return a time [ns], at most that of the end of an int64 clock."""
+    return round(min(seconds * 1e9, 2.0**62))
+
+
+def _recording_lag(contents: Contents, topic: str) -> int:
+    """Return the time from the stamps of the clouds on a topic to their times of recording [ns], 0 on one clock."""
+    lags = [cloud.arrival - cloud.time for found in contents.topics if found.name == topic for cloud in found.clouds]
+    lag = int(np.median(lags)) if lags else 0
+    return lag if abs(lag) > _SAME_CLOCK * 1e9 else 0
 
 
 def _definition(kind: str) -> str | None:

@@ -60,7 +60,7 @@ def test_a_cut_keeps_stamps_and_drops_points_and_topics_as_asked(
     source, target = mcap_of([*bags.drive(), bags.text(0.5)]), tmp_path / "cut.mcap"
     arguments = ("--start", "0.25", "--end", "0.65", "--topics", "/points", "/odom", "--decimate", "4")
     report = run_json(capsys, "convert", str(source), str(target), *arguments)
-    assert report["topics"] == {"/points": 4, "/odom": 16}
+    assert report["topics"] == {"/points": 4, "/odom": 17}
     whole, cut = recorded(source), recorded(target)
     for k, points in enumerate(cut[0]):
         np.testing.assert_array_equal(points, whole[0][3 + k][::4])
@@ -110,3 +110,35 @@ def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest
         for flags in ((), ("--overwrite",)):
             assert "is the recording itself" in run_refused(capsys, "convert", str(given), str(source), *flags)
     assert source.read_bytes() == before
+
+
+def test_a_cut_keeps_the_mounting_of_the_sensor(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    mounted = bags.transform(0.0, "base", "lidar", (0.5, 0.0, 0.2), topic="/tf_static")
+    source, target = mcap_of([mounted, *bags.drive(child="base")]), tmp_path / "cut.mcap"
+    report = run_json(capsys, "convert", str(source), str(target), "--start", "0.3", "--topics", "/points", "/odom")
+    assert report["topics"]["/tf_static"] == 1
+    with open_recording(target) as recording:
+        np.testing.assert_allclose(recording.extrinsic.position, [0.5, 0.0, 0.2])
+
+
+def test_the_first_of_three_messages_is_written(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    late = 1e-9 * 457_789  # float64 does not resolve single nanoseconds of such a time
+    source, target = mcap_of([bags.text(late + 0.1 * k) for k in range(3)]), tmp_path / "whole.mcap"
+    assert run_json(capsys, "convert", str(source), str(target))["messages"] == 3
+
+
+def test_other_poses_replace_those_of_the_recording(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source, target, poses = mcap_of(bags.drive()), tmp_path / "posed.mcap", tmp_path / "poses.tum"
+    poses.write_text("".join(f"{1e-9 * bags.START + 0.1 * k:.9f} {2 * k} 0 0 0 0 0 1\n" for k in range(12)))
+    report = run_json(capsys, "convert", str(source), str(target), "--poses", str(poses))
+    assert set(report["left_out"]) >= {"/odom"}
+    with open_recording(target) as recording:
+        assert recording.pose_topic == "/odometry" and recording.poses is not None
+        assert np.ptp(recording.poses.positions[:, 0]) > 10.0
+
+
+@pytest.mark.parametrize("flags", [("--mask", "-1", "-1", "-1", "1", "1", "1"), ("--extrinsic", *"001000")])
+def test_flags_that_would_change_nothing_are_refused(mcap_of: Write, tmp_path: Path, flags, capsys):
+    source, target = mcap_of(bags.drive()), tmp_path / "same.mcap"
+    assert "aero-viz play" in run_refused(capsys, "convert", str(source), str(target), *flags)
+    assert not target.exists()
