@@ -15,12 +15,12 @@ from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "unsafe", "samples",
-    "best", "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "clear", "unsafe",
+    "samples", "best", "x", "y", "z",
 )  # fmt: skip
-"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of candidates
-with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of samples of the chosen instance,
-number of that instance, position [m]. NaN where nothing is known."""
+"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
+candidates, number of those with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of
+samples of the chosen instance, number of that instance, position [m]. NaN where nothing is known."""
 _SOLIDS_MAX = 3000
 """Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
@@ -225,6 +225,7 @@ def _row(frame: Frame) -> Rows:
             plan.goal_cost[best],
             plan.collision_cost[best],
             frame.timings_ms.get("plan", 0.0),
+            np.nan if frame.is_safe is None else np.count_nonzero(frame.is_safe),
             np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
             plan.status == PlanStatus.NO_SAFE_CANDIDATE,
             effective_samples(plan, best, frame.config.sampling.temperature),

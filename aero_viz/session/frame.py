@@ -57,6 +57,8 @@ class Frame:
     """Seed of the planner's noise."""
     device: str = "cpu"
     """Warp device of the planner."""
+    is_safe: NDArray[np.bool_] | None = None
+    """True for each safe candidate, shape [M]; None where only the plan is known, see `safety.known_safe`."""
 
     @property
     def drone_position(self) -> NDArray[np.float64]:

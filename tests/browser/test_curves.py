@@ -65,7 +65,7 @@ def test_the_saved_table_has_every_tick(desk, tmp_path):
     with desk.download("Download CSV", tmp_path).open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 41
-    assert {"time", "speed", "clearance", "cost", "plan_ms", "safe", "samples"} <= rows[0].keys()
+    assert {"time", "speed", "clearance", "cost", "plan_ms", "safe", "clear", "samples"} <= rows[0].keys()
 
 
 def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):

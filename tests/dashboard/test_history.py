@@ -89,7 +89,7 @@ def test_ticks_without_a_safe_candidate_are_those_of_the_planner(session):
     last = session.frame
     history.add(dataclasses.replace(last, time=last.time + last.source.period, plan=braking))
     columns: dict[str, np.ndarray] = dict(zip(COLUMNS, history.past().rows.T, strict=True))
-    assert (columns["safe"] > 0.0).all(), "every plan has candidates with the safe clearance"
+    assert (columns["clear"] > 0.0).all(), "every plan has candidates with the safe clearance"
     assert FlightFigures.from_columns(columns, "flying").unsafe_ticks == 1
 
 

@@ -21,6 +21,7 @@ from aero_viz.dashboard.layers.base import (
     relative_to_drone,
 )
 from aero_viz.session.frame import Frame
+from aero_viz.session.safety import known_safe
 
 _COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN)
 
@@ -81,7 +82,7 @@ class RolloutLayer(Layer):
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
         height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
         others = plan.stage2_cost - plan.goal_cost - plan.collision_cost
-        clearance, is_faint = plan.clearance.min(axis=1), _known_unsafe(frame)
+        clearance, is_faint = plan.clearance.min(axis=1), ~known_safe(frame)
         bars = [
             Bar(
                 height=float(height[i]),
@@ -94,23 +95,10 @@ class RolloutLayer(Layer):
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: too near or unsafe"
+        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: unsafe"
         summary = f"chosen: instance {best}, {plan.kinds[best]}"
         if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
             # Without prefer_safe, only the candidate with the lowest S2 is considered.
             is_any_considered = frame.config.candidates.prefer_safe
             summary += "; no candidate is safe" if is_any_considered else "; the cheapest candidate is not safe"
         return BarChart(label, summary, bars)
-
-
-def _known_unsafe(frame: Frame) -> NDArray[np.bool_]:
-    """Return True for each instance that is too near to an obstacle, or that the plan shows to be unsafe, shape [M].
-
-    The planner looks for a clear stop in the order of the costs until an instance has one, and leaves out the others.
-    """
-    plan, candidates = frame.plan, frame.config.candidates
-    is_too_near = plan.clearance.min(axis=1) < candidates.safe_clearance
-    if not candidates.prefer_safe or plan.status == PlanStatus.STALE_CLOUD:
-        return is_too_near
-    is_cheaper = plan.stage2_cost < plan.stage2_cost[int(plan.best)]
-    return is_too_near | is_cheaper | (plan.status == PlanStatus.NO_SAFE_CANDIDATE)

@@ -73,7 +73,7 @@ def card(evidence: Evidence, instance: int) -> str:
             _plot(
                 f"clearance [m]: least {distance:.2f} at {time:.2f} s, {name}",
                 [np.minimum(evidence.distance[instance], 2.0)],
-                bounds=(evidence.safe_clearance, config.costs.distance_max),
+                bounds=(evidence.safety.safe_clearance, config.costs.distance_max),
                 low=0.0,
             ),
             markup.heading("effective samples", f"{stage1.effective_samples:.1f} of {len(weights)}"),
