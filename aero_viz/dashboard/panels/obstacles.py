@@ -17,6 +17,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.scenery import ObstacleLayer
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Hold, Page, Panel
+from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.errors import UserError
 from aero_viz.scenes.obstacles import (
     Obstacle,
@@ -50,10 +51,12 @@ class ObstaclePanel(Panel):
     Args:
         page: page of the panel.
         controls: commands of the session, which holds the world; every edit belongs to the tick at which it is made.
+        tabs: the tabs that are open.
     """
 
-    def __init__(self, page: Page, controls: SessionControls) -> None:
+    def __init__(self, page: Page, controls: SessionControls, tabs: OpenTabs) -> None:
         self._controls = controls
+        self._tabs = tabs
         self._selected: ObstacleId | None = None
         super().__init__(page)
 
@@ -152,7 +155,7 @@ class ObstaclePanel(Panel):
         # No node is clickable: viser's outline around one under the mouse fails in a scene with fog, and a faint
         # obstacle is not a separate node. The world finds the obstacle on the ray instead.
         frame = self.session.frame
-        if frame is not None and frame.world is not None:
+        if frame is not None and frame.world is not None and self._tabs.is_open("World", event.client_id):
             key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction)
             self._select(None if key is None else identify(frame.world, key))
 
