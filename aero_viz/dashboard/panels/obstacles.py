@@ -37,6 +37,8 @@ from aero_viz.session.source import SourceInfo
 _PAUSE = 0.4
 """Time for which a typed number must stay unchanged before it is used [s]: a 12 is first a 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
+_ARROWS = 80.0
+"""Length of the arrows [pixels]."""
 _ADDED_AT = (6.0, 3.0)
 """Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
@@ -64,11 +66,19 @@ class ObstaclePanel(Panel):
         self._touched, self._dragged = Hold(), Hold()
         self._drag_step = object()
         """Stands for the drag in progress, or else for the next one."""
+        self._grabbed_at: tuple[float, ...] | None = None
+        """Position of the arrows at which they were grabbed, until they move [m]."""
         self._absence = gui.add_html(markup.note(_ABSENT), visible=False)
         with gui.add_folder(None) as self._folder:
             self._create_controls(gui)
         self._arrows = self.page.server.scene.add_transform_controls(
-            "/obstacle_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
+            "/obstacle_arrows",
+            scale=_ARROWS,
+            fixed=True,
+            disable_rotations=True,
+            disable_sliders=True,
+            depth_test=False,
+            visible=False,
         )
         self._typed: dict[tuple[ObstacleId | None, str], Callable[[Obstacle], Obstacle]] = {}
         """Changes by numbers that were typed and wait, by obstacle and label of the field."""
@@ -126,6 +136,11 @@ class ObstaclePanel(Panel):
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
+            if event.phase == "start":
+                self._grabbed_at = tuple(self._arrows.position)
+            if tuple(self._arrows.position) == self._grabbed_at:
+                return  # a click
+            self._grabbed_at = None
             self._dragged.begin()
             self._drags.put((self._selected, tuple(self._arrows.position), event.phase != "end"))
 
@@ -156,7 +171,9 @@ class ObstaclePanel(Panel):
         # obstacle is not a separate node. The world finds the obstacle on the ray instead.
         frame = self.session.frame
         if frame is not None and frame.world is not None and self._tabs.is_open("World", event.client_id):
-            key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction)
+            layer = self.page.layers.get("obstacles")
+            faint = layer.faint_obstacles if isinstance(layer, ObstacleLayer) else ()
+            key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction, ignored=faint)
             self._select(None if key is None else identify(frame.world, key))
 
     def _select(self, identity: ObstacleId | None) -> None:
