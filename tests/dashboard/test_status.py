@@ -163,6 +163,16 @@ def test_bars_are_faint_for_the_instances_that_the_plan_of_a_drone_shows_to_be_u
     assert faint(near, config.replace({"candidates.prove_stop": "instead"})) == [], "it may come close beyond its stop"
 
 
+def test_the_first_tick_says_what_its_previous_plan_is(session, dashboard):
+    plan, source = session.frame.plan, session.frame.source
+    kinds = ("previous", *plan.kinds[1:])
+    first = dataclasses.replace(plan, kinds=kinds, best=0)
+    assert "previous; nothing was flown before" in status_of(dashboard, plan=first)
+    assert "nothing was flown" not in status_of(dashboard, plan=first, index=1)
+    recording = dataclasses.replace(source, times=np.arange(3.0))
+    assert "nothing was flown" not in status_of(dashboard, plan=first, source=recording)
+
+
 def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):
     path = tmp_path / "flight.mcap"
     flight = Session(small_source(goal=3.0), config=small_config())

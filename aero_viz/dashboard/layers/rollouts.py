@@ -88,7 +88,7 @@ class RolloutLayer(Layer):
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
                 f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}; "
-                f"clearance {clearance[i]:.2f} m",
+                f"clearance {clearance[i]:.2f} m{_origin(frame, i)}",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
                 is_faint=bool(is_faint[i]),
@@ -96,9 +96,16 @@ class RolloutLayer(Layer):
             for i, kind in enumerate(plan.kinds)
         ]
         label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: unsafe"
-        summary = f"chosen: instance {best}, {plan.kinds[best]}"
+        summary = f"chosen: instance {best}, {plan.kinds[best]}{_origin(frame, best)}"
         if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
             # Without prefer_safe, only the candidate with the lowest S2 is considered.
             is_any_considered = frame.config.candidates.prefer_safe
             summary += "; no candidate is safe" if is_any_considered else "; the cheapest candidate is not safe"
         return BarChart(label, summary, bars)
+
+
+def _origin(frame: Frame, instance: int) -> str:
+    """Return where the instance "previous" comes from at the first tick, after a semicolon; empty for all others."""
+    is_first = frame.index == 0 and frame.source.times is None
+    is_initial = is_first and frame.plan.kinds[instance] == "previous"
+    return "; nothing was flown before: straight toward the goal instead" if is_initial else ""
