@@ -74,7 +74,7 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     desk.session.step(15).result()
     desk.page.get_by_text("Forked:").wait_for()
     desk.page.locator(".aero-event").first.wait_for()
-    desk.page.get_by_text("vehicle.speed_limit 7.0 → 1.0").wait_for()
+    desk.page.get_by_text("Speed limit [m/s]: 7 → 1").wait_for()
     assert desk.dashboard.history.past().differs_at == pytest.approx(0.42, abs=0.05)
     desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) > 20, "the path of the ghost")
     for name in ("speed", "clearance", "cost", "plan_ms"):
