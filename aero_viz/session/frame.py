@@ -90,7 +90,7 @@ def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
     """Return how a source has ended, by its name, its outcome and its explanation."""
     ending = {
         "arrived": "arrived at the goal.",
-        "collision": "collided with an obstacle.",
+        "collision": "collided.",  # with an obstacle or the ground
         "stall": "stalled: it no longer moves on.",
         "out_of_bounds": "left the world.",
         "timeout": "ran out of time.",
