@@ -51,7 +51,7 @@ def verdict(evidence: Evidence, instance: int) -> str:
     if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
         prefers_safe = evidence.frame.config.candidates.prefer_safe
         cause = "No candidate is safe" if prefers_safe else "The cheapest candidate is not safe"
-        flown = f"{cause}: the drone flies a stop in place of instance {best}."
+        flown = f"{cause}: the drone stops; the stop has replaced instance {best}."
         if plan.kinds[best] != "brake":
             flown = f"{cause}: the drone flies instance {best}, whose stop keeps the largest clearance."
         return flown if instance == best else f"{flown} {_unsafe(evidence, instance)}"

@@ -72,7 +72,7 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     desk.session.seek(0.4).result()
     desk.session.configure({"vehicle.speed_limit": 1.0})
     desk.session.step(15).result()
-    desk.page.get_by_text("Forked:").wait_for()
+    desk.page.get_by_text("continued from an earlier tick").wait_for()
     desk.page.locator(".aero-event").first.wait_for()
     desk.page.get_by_text("Speed limit [m/s]: 7 → 1").wait_for()
     assert desk.dashboard.history.past().differs_at == pytest.approx(0.42, abs=0.05)

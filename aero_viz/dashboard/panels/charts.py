@@ -32,7 +32,7 @@ _GAP = 0.25
 _GHOST_LINE = 'class="aero-ghost" stroke-dasharray="5 3"'
 _NAMES = {
     "A": (("A", "B"), "the flight of configuration A"),
-    "before": (("before", "now"), "the future before"),
+    "before": (("before", "now"), "the future that was left"),
 }
 """Headings and description of a ghost by its name."""
 _EVENT_COLORS = palette.OUTCOMES | {
@@ -271,8 +271,11 @@ def _fork(past: Past) -> str:
     if not len(past.ghost):
         return ""
     names, what = _NAMES.get(past.ghost_name, (("A", "B"), f"A, {past.ghost_name}"))
-    differs = "no difference so far" if past.differs_at is None else f"first difference at {past.differs_at:.2f} s"
-    note = markup.note(f"{'Forked' if past.ghost_name == 'before' else 'Compared'}: dashed is {what}; {differs}.")
+    same = "They do not differ so far." if past.differs_at is None else f"They first differ at {past.differs_at:.2f} s."
+    solid = (
+        "The flight was continued from an earlier tick" if past.ghost_name == "before" else "Two flights are compared"
+    )
+    note = markup.note(f"{solid}: the dashed curves are {what}. {same}")
     return f'<div class="aero-fork">{note}{flight_table(past, names)}</div>'
 
 
