@@ -100,7 +100,7 @@ class ObstaclePanel(Panel):
         self._yaw = gui.add_number("Heading [deg]", 0.0, step=5.0, visible=False, hint="Rotation of the box about z.")
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
-        hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."
+        hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl+Z, Ctrl+Shift+Z."
         self._history = gui.add_button_group("History", ("undo", "redo"), hint=hint)
         hint = "Download the world as it is now, with its goal, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
