@@ -57,7 +57,7 @@ def test_each_line_of_a_heading_stays_one_line_above_its_curve_in_a_narrow_panel
       headings.forEach(heading => heading.style.width = "");
       return [lines.map(box => box.height), gaps];
     }""")
-    assert len(heights) == 7 and max(heights) < 20.0
+    assert len(heights) == 8 and max(heights) < 20.0
     assert min(gaps) > -0.5
 
 
