@@ -57,9 +57,14 @@ class OpenTabs(Panel):
         self._callbacks.append(callback)
 
     def is_open(self, name: str, number: int | None = None) -> bool:
-        """Return True if a visitor has the tab `name` open: the one with this number, or any one for None."""
+        """Return True if a visitor has the tab `name` open: the one with this number, or any one for None.
+
+        While there are no visitors, every tab counts as open.
+        """
         with self._lock:
-            return name in self._open.values() if number is None else self._open.get(number) == name
+            if number is not None:
+                return self._open.get(number) == name
+            return not self._open or name in self._open.values()
 
     def welcome(self, client: viser.ClientHandle) -> None:
         buttons = {name: self._add(client, name) for name in self._names}
