@@ -126,6 +126,8 @@ class Dashboard:
             else:
                 self._camera = CameraPanel(self._page)
                 self.panels = [self._camera]
+        if panels and session.controls is not None:
+            session.controls.judge_candidates()
         self._sink = session.subscribe(self._show_newest, name="dashboard")
         self._event_sinks: list[Mailbox[Any]] = [
             session.subscribe(self.history.add, every=True, name="history"),

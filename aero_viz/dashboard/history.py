@@ -15,12 +15,12 @@ from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "unsafe", "samples",
-    "best", "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "clear", "unsafe",
+    "samples", "best", "x", "y", "z",
 )  # fmt: skip
-"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of candidates
-with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of samples of the chosen instance,
-number of that instance, position [m]. NaN where nothing is known."""
+"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
+candidates, number of those with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of
+samples of the chosen instance, number of that instance, position [m]. NaN where nothing is known."""
 _SOLIDS_MAX = 3000
 """Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
@@ -95,7 +95,7 @@ class FlightHistory:
             if advanced and at < self._count and is_closed_loop:
                 self._fork(at)
             self._put(at, row)
-            self._events += _events(last, frame)
+            self._add_events(last, frame)
             self._outcome = frame.outcome if frame.outcome is not None else self._outcome
             self._last = frame
 
@@ -131,7 +131,19 @@ class FlightHistory:
                 differs_at, self._pinned, self._alternative,
             )  # fmt: skip
 
+    def _add_events(self, last: Frame | None, frame: Frame) -> None:
+        """Add what has happened since the last frame. Of the parameters, a tick has its net change only."""
+        events = _events(last, frame)
+        if last is not None and last.config is not frame.config:
+            before = self._configs_before.setdefault(frame.time, last.config)
+            self._events = [e for e in self._events if e.kind != "parameters" or e.time != frame.time]
+            if text := change_text(before, frame.config):
+                events.insert(0, Event(frame.time, "parameters", text))
+        self._events += events
+
     def _clear(self) -> None:
+        self._configs_before: dict[float, PlannerConfig] = {}
+        """Configuration before the changes at a tick, by its time [s]."""
         self._rows = np.empty((1024, len(COLUMNS)))
         self._count = 0
         self._events: list[Event] = []
@@ -225,6 +237,7 @@ def _row(frame: Frame) -> Rows:
             plan.goal_cost[best],
             plan.collision_cost[best],
             frame.timings_ms.get("plan", 0.0),
+            np.nan if frame.is_safe is None else np.count_nonzero(frame.is_safe),
             np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
             plan.status == PlanStatus.NO_SAFE_CANDIDATE,
             effective_samples(plan, best, frame.config.sampling.temperature),
@@ -234,14 +247,30 @@ def _row(frame: Frame) -> Rows:
     )
 
 
+def change_text(before: PlannerConfig, now: PlannerConfig, *, most: int = 4) -> str:
+    """Return the parameters that differ, with titles and units as in the tab Tune; empty if none does.
+
+    Args:
+        before: configuration before.
+        now: configuration since.
+        most: largest number of parameters to name.
+    """
+    changes = [
+        f"{PlannerConfig.find(path).title}: {_rounded(old)} → {_rounded(new)}"
+        for path, (old, new) in before.differences(now).items()
+    ]
+    more = [f"{len(changes) - most} more parameters"] if len(changes) > most else []
+    return "; ".join(changes[:most] + more)
+
+
+def _rounded(value: object) -> str:
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
 def _events(last: Frame | None, frame: Frame) -> list[Event]:
     events: list[Event] = []
     if last is None:
         return events
-    if last.config is not frame.config:
-        differences = last.config.differences(frame.config)
-        changes = [f"{path} {before} → {now}" for path, (before, now) in differences.items()]
-        events.append(Event(frame.time, "parameters", ", ".join(changes)))
     is_same_time = last.time == frame.time
     if is_same_time and not np.array_equal(last.observation.goal.position, frame.observation.goal.position):
         place = ", ".join(f"{x:g}" for x in np.asarray(frame.observation.goal.position))

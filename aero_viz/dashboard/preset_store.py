@@ -107,10 +107,10 @@ class PresetStore:
 
     def _path(self, name: str) -> Path:
         if name in PlannerConfig.presets():
-            raise UserError(f"{name!r} is the name of a preset of the program; choose another one.")
+            raise UserError(f"{name!r} is the name of a built-in preset; choose another one.")
         if not _NAME.fullmatch(name):
             raise UserError(
-                f"{name!r} cannot be the name of a preset; use up to 40 letters, digits, spaces, points, dashes and "
-                "underscores, beginning with a letter or a digit."
+                f"{name!r} cannot be the name of a preset; use up to 40 letters from A to Z, digits, spaces, periods, "
+                "dashes and underscores, beginning with a letter or a digit."
             )
         return self.folder / f"{name}.yaml"

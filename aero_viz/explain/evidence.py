@@ -6,18 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner
-from aero_planner.arrays import fine_shape
-from aero_planner.kernels.kernel_tuning import CPU
-from aero_planner.kernels.movers import Movers
-from aero_planner.kernels.mppi import PROBES
-from aero_planner.kernels.records import DroneState, bundle
-from aero_planner.kernels.records import Rollouts as StateRollouts
-from aero_planner.kernels.stop_proof import evaluate_stops
-from aero_planner.kernels.stops import roll_out_stops
 from aero_viz.errors import UserError
 from aero_viz.explain.terms import (
     STAGE2,
@@ -31,6 +22,7 @@ from aero_viz.explain.terms import (
     step_times,
 )
 from aero_viz.session.frame import Frame
+from aero_viz.session.safety import Safety, judge
 
 Array = NDArray[np.float64]
 
@@ -71,18 +63,8 @@ class Evidence:
     """Terms `STAGE2` of each instance at each step, shape [terms, M, N]."""
     distance: Array
     """Distance to the obstacles after each control [m], shape [M, N]; unlike `Plan.clearance` without an upper end."""
-    nearest: Array
-    """Least clearance of each instance, less the margin for its speed [m], shape [M]. Moving obstacles that are near at
-    the start count as farther away."""
-    safe_clearance: float
-    """Clearance that the planner demanded of them [m]; less than candidates.safe_clearance where a static obstacle is
-    nearer than that at the start."""
-    stop_clearance: Array | None
-    """Largest clearance of the stops of each instance [m], shape [M]; None if no stop is proven."""
-    clear_stop: float
-    """Clearance that the planner demanded of a stop [m]."""
-    is_safe: NDArray[np.bool_]
-    """Shape [M]."""
+    safety: Safety
+    """What the planner measured of the instances, and which of them are safe."""
     samples: tuple[Array, Array]
     """Controls [M, K, N, 4] and J_col at each step [M, K, N] of the samples."""
     start: tuple[Array, Array, Array]
@@ -91,11 +73,16 @@ class Evidence:
     """Controls in effect and commanded at the start, shape [4] each."""
 
     @property
+    def is_safe(self) -> NDArray[np.bool_]:
+        """True for each safe instance, shape [M]."""
+        return self.safety.is_safe
+
+    @property
     def has_stop(self) -> NDArray[np.bool_]:
         """True for each instance with a clear stop, shape [M]; true for all if no stop is proven."""
-        if self.stop_clearance is None:
-            return np.ones(len(self.nearest), dtype=np.bool_)
-        return self.stop_clearance >= np.float32(self.clear_stop)
+        if self.safety.stop_clearance is None:
+            return np.ones(len(self.is_safe), dtype=np.bool_)
+        return self.safety.stop_clearance >= self.safety.clear_stop
 
     def stage1(self, instance: int) -> Stage1:
         """Return Stage I of an instance."""
@@ -183,14 +170,6 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
     terms = stage2_terms(x, controls, command, waypoints, problem, collision=collision_cost(distance, config))
     is_previous = [kind == "previous" for kind in plan.kinds]
     terms[STAGE2.index("escape"), is_previous] *= 1.0 - config.escape.previous_discount
-    nearest, start_clearance = read("instance_scores")[:M, 1], float(read("standing_clearance")[0, -1])
-    safe, stops = _least(config.candidates.safe_clearance, start_clearance, 0.02), None
-    limit = min(config.candidates.stop_clearance, config.candidates.safe_clearance)
-    clear_stop = _least(limit, start_clearance, 0.005)
-    is_safe = nearest >= np.float32(safe)
-    if config.candidates.prove_stop != "off":
-        stops = _clearance_of_all_stops(planner).reshape(M, -1).max(axis=1)
-        is_safe = (stops >= np.float32(clear_stop)) & (is_safe | (config.candidates.prove_stop == "instead"))
     instance_of = np.s_[: plan.controls.shape[1]]
     return Evidence(
         frame=frame,
@@ -200,11 +179,7 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
         waypoints=waypoints,
         terms=terms,
         distance=distance,
-        nearest=nearest,
-        safe_clearance=safe,
-        stop_clearance=stops,
-        clear_stop=clear_stop,
-        is_safe=is_safe,
+        safety=judge(planner, best=int(plan.best), status=int(plan.status)),
         samples=(
             work.sample_controls.numpy()[..., :K].astype(np.float64).transpose(0, 3, 1, 2),
             work.sample_clearance_cost.numpy()[:, instance_of, :K].astype(np.float64).transpose(0, 2, 1),
@@ -212,37 +187,6 @@ def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
         start=(read("position"), read("velocity"), read("quaternion")),
         control=(read("control"), command),
     )
-
-
-def _clearance_of_all_stops(planner: Planner) -> Array:
-    """Return the clearance of every stop of the last plan [m], shape [M STOPS].
-
-    On a CPU the planner itself evaluates only those that its choice needs.
-    """
-    i, o, w, config = planner.inputs, planner.outputs, planner.workspace, planner.config
-    if not planner.device.startswith("cpu"):
-        return w.stop_clearance.numpy()[0].astype(np.float64)
-    names = ("position", "velocity", "quaternion", "acceleration", "command", "control")
-    drone = bundle(DroneState, **{name: getattr(w, name) for name in names}, disturbance=o.disturbance, drag=o.drag)
-    moving = {name: getattr(o, f"mover_{name}") for name in ("count", "position", "velocity", "radius")}
-    movers = bundle(Movers, **moving)
-    names = ("controls", "positions", "velocities", "quaternions")
-    rollouts = bundle(StateRollouts, **{name: getattr(o, name) for name in names})
-    count, (rows, columns) = w.stop_clearance.shape[1], fine_shape(config)
-    outputs = [wp.empty_like(array) for array in (w.stop_controls, w.stop_positions, w.stop_clearance)]
-    with wp.ScopedDevice("cpu"):
-        inputs = [w.finished, drone, planner.params, w.plan_period, rollouts]
-        wp.launch(roll_out_stops(CPU), (1, count), inputs=inputs, outputs=outputs)
-        inputs = [w.finished, i.position, i.quaternion, i.ground_height, movers, planner.params, int(PROBES), 1]
-        inputs += [rows, columns, o.fine_range, o.positions, w.plan_period, w.cell_ends, w.point_packs, outputs[1]]
-        inputs += [w.state_terms, w.standing_clearance]
-        wp.launch(evaluate_stops(CPU), (1, count, 4 * config.sampling.steps, 1), inputs=inputs, outputs=outputs[2:])
-    return outputs[2].numpy()[0].astype(np.float64)
-
-
-def _least(limit: float, start: float, gain: float) -> float:
-    """Return the clearance to demand [m]: a drone that starts with less must not come any nearer."""
-    return start - gain if start < limit else limit
 
 
 def _equal(a: Plan, b: Plan) -> bool:

@@ -90,7 +90,7 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     pool = frame.config.partition.fine_cells
     facts = [
         ("range", f"{distance:.2f} m"),
-        ("position", ", ".join(f"{value:.2f}" for value in point)),
+        ("position", ", ".join(f"{value:.2f}" for value in point) + " m"),
         ("obstacle", obstacle_name(frame.world, point)),
     ]
     sweeps = list(seen.sweeps)

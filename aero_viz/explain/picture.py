@@ -62,7 +62,8 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     if end is not None:
         x, y = place(np.asarray(end, dtype=np.float64))
         parts.append(f'<path d="M{x - 9:.0f} {y - 9:.0f}l18 18m0 -18l-18 18" stroke="{ink}" stroke-width="4"/>')
-    keys = [(name, COLORS[name]) for name in ("safe", "unsafe", "chosen", "braking")]
+    keys = [(name, COLORS[name]) for name in ("safe", "unsafe", "chosen")]
+    keys.append(("- - braking", COLORS["braking"]))
     keys += [] if end is None else [("× the end", ink)]
     spans = " ".join(f'<tspan dx="8" fill="{color}">{label}</tspan>' for label, color in keys)
     caption = f"{frame.time:.2f} s, at {drone[2]:.1f} m height, {2.0 * _HALF:.0f} m wide"

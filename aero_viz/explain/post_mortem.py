@@ -296,4 +296,4 @@ def _status(frame: Frame) -> PlanStatus:
 
 
 def _point(place: Array) -> str:
-    return "(" + ", ".join(f"{value:.2f}" for value in place) + ")"
+    return "(" + ", ".join(f"{value:.2f}" for value in place) + ") m"

@@ -49,9 +49,11 @@ def verdict(evidence: Evidence, instance: int) -> str:
     if plan.status == PlanStatus.STALE_CLOUD:
         return "The cloud is too old: the drone brakes, whatever the candidates cost."
     if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
-        flown = f"No candidate is safe: the drone flies a stop in place of instance {best}."
+        prefers_safe = evidence.frame.config.candidates.prefer_safe
+        cause = "No candidate is safe" if prefers_safe else "The cheapest candidate is not safe"
+        flown = f"{cause}: the drone stops; the stop has replaced instance {best}."
         if plan.kinds[best] != "brake":
-            flown = f"No candidate is safe: the drone flies instance {best}, whose stop keeps the largest clearance."
+            flown = f"{cause}: the drone flies instance {best}, whose stop keeps the largest clearance."
         return flown if instance == best else f"{flown} {_unsafe(evidence, instance)}"
     if instance == best:
         return _won(evidence)
@@ -81,10 +83,10 @@ def _unsafe(evidence: Evidence, instance: int) -> str:
         c, limit = evidence.frame.config.candidates, evidence.frame.config.vehicle.speed_limit
         speed = float(np.linalg.norm(evidence.plan.velocities[instance, 0]))
         # The planner measures no clearance above what is asked at the speed limit.
-        is_too_fast = c.safe_clearance + c.speed_margin * (limit - speed) < evidence.clear_stop
+        is_too_fast = c.safe_clearance + c.speed_margin * (limit - speed) < evidence.safety.clear_stop
         stop = "no stop that leaves it stays clear, in space that is seen"
         reasons.append(_too_fast(evidence, instance) if is_too_fast else stop)
-    if evidence.nearest[instance] < evidence.safe_clearance:
+    if evidence.safety.nearest[instance] < evidence.safety.safe_clearance:
         reasons += _too_near(evidence, instance)
     return f"Instance {instance} is unsafe: {', and '.join(dict.fromkeys(reasons))}."
 
@@ -100,7 +102,7 @@ def _too_near(evidence: Evidence, instance: int) -> list[str]:
         places = np.concatenate((places, 0.5 * (positions[:-1] + positions[1:])))
         asked = np.concatenate((asked, speeds[:-1]))
         times = np.concatenate((times, times - 0.5 * config.sampling.dt))
-    asked = evidence.safe_clearance + config.candidates.speed_margin * asked
+    asked = evidence.safety.safe_clearance + config.candidates.speed_margin * asked
     distances = evidence.problem.obstacles.distance(places, times)
     at = int((distances - asked).argmin())
     is_asked = config.candidates.prove_stop != "instead"  # otherwise it may come close beyond its stop

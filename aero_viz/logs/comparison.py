@@ -34,8 +34,8 @@ class LoggedFlight:
     """Name of the file."""
     columns: Mapping[str, NDArray[np.float64]]
     """"time" since the first pose [s], "speed" [m/s], "clearance" [m], costs of the chosen instance "cost", "goal_cost"
-    and "collision_cost", "plan_ms", number of candidates with the "safe" clearance, "unsafe" (1 if no candidate was
-    safe), number of the "best" instance, and "x", "y", "z" [m].
+    and "collision_cost", "plan_ms", number of candidates with the safe clearance "clear", "unsafe" (1 if no candidate
+    was safe), number of the "best" instance, and "x", "y", "z" [m].
 
     The clearance is the distance to the obstacles of the world; without a world, that of the plan to the cloud."""
     outcome: str
@@ -174,7 +174,7 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
         "time": time,
         "clearance": columns["clearance"].clip(0.0, CLEARANCE_MAX),
         "plan_ms": np.array([plan.plan_ms for plan in plans]),
-        "safe": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
+        "clear": np.array([float(np.count_nonzero(plan.clearance >= limit)) for plan in plans]),
         "unsafe": np.array([float(plan.status == PlanStatus.NO_SAFE_CANDIDATE) for plan in plans]),
         "best": np.array([float(plan.best) for plan in plans]),
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -22,7 +23,8 @@ _ROUNDING = 1e-3
 _ON_SURFACE, _FARTHEST, _STEPS = 1e-3, 1000.0, 500
 
 
-_new_numbers = itertools.count(1_000_000_000)
+_FIRST_NEW = 1_000_000_000
+_new_numbers = itertools.count(_FIRST_NEW)
 
 
 class ObstacleKey(NamedTuple):
@@ -165,16 +167,26 @@ def _with_row(
     return table
 
 
-def pick_obstacle(world: World, origin: ArrayLike, direction: ArrayLike) -> ObstacleKey | None:
+def added_rows(world: World, kind: str) -> NDArray[np.int64]:
+    """Return the rows of a table that `with_obstacle` has added."""
+    return np.flatnonzero(_numbers(world, kind) >= _FIRST_NEW)
+
+
+def pick_obstacle(
+    world: World, origin: ArrayLike, direction: ArrayLike, *, ignored: Collection[ObstacleKey] = ()
+) -> ObstacleKey | None:
     """Return the first solid on a ray, without the ground; None if it meets none within a kilometre.
 
     Args:
         world: obstacles.
         origin: start of the ray [m], shape [3].
         direction: unit vector, shape [3].
+        ignored: solids that the ray passes through.
     """
     tables = {kind: np.arange(len(getattr(world, kind))) for kind in KINDS.values()}
     tables["boxes"] = np.flatnonzero(~world.ground)
+    for key in ignored:
+        tables[key.kind] = tables[key.kind][tables[key.kind] != key.row]
     ray, reach = np.asarray(direction, dtype=np.float64), 0.0
     for _ in range(_STEPS):
         point = np.asarray(origin, dtype=np.float64) + reach * ray

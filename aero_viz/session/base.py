@@ -62,6 +62,10 @@ class SessionControls(Protocol):
         """Include the Stage I samples in frames, or leave them out."""
         ...
 
+    def judge_candidates(self) -> Future[Any]:
+        """Say in every frame from now on which candidates are safe."""
+        ...
+
     def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
         """Use another configuration, or change some parameters of the current one."""
         ...

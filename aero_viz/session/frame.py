@@ -57,6 +57,8 @@ class Frame:
     """Seed of the planner's noise."""
     device: str = "cpu"
     """Warp device of the planner."""
+    is_safe: NDArray[np.bool_] | None = None
+    """True for each safe candidate, shape [M]; None where only the plan is known, see `safety.known_safe`."""
 
     @property
     def drone_position(self) -> NDArray[np.float64]:
@@ -88,7 +90,7 @@ def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
     """Return how a source has ended, by its name, its outcome and its explanation."""
     ending = {
         "arrived": "arrived at the goal.",
-        "collision": "collided with an obstacle.",
+        "collision": "collided.",  # with an obstacle or the ground
         "stall": "stalled: it no longer moves on.",
         "out_of_bounds": "left the world.",
         "timeout": "ran out of time.",

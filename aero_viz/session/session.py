@@ -227,6 +227,16 @@ class Session(BaseSession):
 
         return self._post(command)
 
+    def judge_candidates(self) -> Future[Any]:
+        """Say in every frame from now on which candidates are safe, also those that the planner's choice skipped."""
+
+        def command() -> None:
+            if not self._engine.judges:
+                self._engine.judges = True
+                self._engine.replan()
+
+        return self._post(command)
+
     def catch_up(self) -> Future[Any]:
         return self._post(lambda: None)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -103,8 +104,10 @@ def test_the_command_palette_lists_every_key_and_runs_what_is_chosen(desk):
     page.keyboard.press("Control+k")
     search = page.get_by_placeholder("Search commands...")
     search.wait_for()
-    for _, label in rows():
+    for shown, label in rows():
         assert page.get_by_text(label, exact=True).count() == 1, label
+        command = page.get_by_role("button", name=re.compile(f"^{re.escape(label)}")).first.inner_text()
+        assert all(name in command for name in shown.split(" or ")), f"{shown}: {command}"
     index = desk.session.frame.index
     search.fill("ten ticks forw")
     page.get_by_role("button", name="Ten ticks forward").click()

@@ -1,15 +1,19 @@
 """Obstacles that are added, thrown, dragged, resized, removed and saved on the page of a flight."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from aero_viz.catalog import open_source
 from aero_viz.scenes import World, scene
-from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, obstacle_at, with_obstacle
+from aero_viz.scenes.obstacles import KINDS, Obstacle, ObstacleKey, new_obstacle, obstacle_at, with_obstacle
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest
 
 TREES = 20
 FOREST = scene("forest", seed=0, count=TREES)
+ARROW = 80.0
+"""Length of the arrows of the selected obstacle [pixels]."""
 GROUND = (600.0, 650.0)
 """A place on the page with nothing but ground."""
 
@@ -75,6 +79,31 @@ def test_a_thrown_obstacle_lies_on_the_plan_and_a_click_on_it_selects_it(desk):
     desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))
     desk.page.get_by_text(f"Selected: {name}").wait_for()
     desk.wait_for(lambda: magenta(desk) > 500, "the selection in the scene")
+    desk.page.mouse.click(*GROUND)
+    desk.page.get_by_text("Click an obstacle").wait_for()
+
+
+def test_a_click_passes_through_a_faint_obstacle_and_the_arrows_leave_room_for_another_one(desk):
+    eye, drone = np.asarray(desk.camera.position), desk.session.frame.drone_position
+    hiding = new_obstacle("cylinder", eye + 0.3 * (drone - eye), (0.4, 0.4, 4.0))
+    behind = eye + 1.2 * (drone - eye)
+    beside = np.add(behind, (0.0, 1.2, 0.0))
+
+    def build(source: Any) -> None:
+        world = with_obstacle(source.observe().world, hiding, ObstacleKey("cylinders", 0))
+        for place in (behind, beside):
+            world = with_obstacle(world, new_obstacle("sphere", place, (0.4, 0.4, 0.4)))
+        source.set_world(world)
+
+    desk.session.alter(build).result()
+    layer = desk.dashboard.layers["obstacles"]
+    desk.wait_for(lambda: ObstacleKey("cylinders", 0) in layer.faint_obstacles, "a faint tree")
+    if not desk.checkbox("Edit obstacles").is_checked():
+        desk.checkbox("Edit obstacles").click()
+    for row, place in enumerate((behind, beside), len(FOREST.spheres)):
+        desk.page.mouse.click(*desk.place_on_page(place))
+        desk.page.get_by_text(f"Selected: sphere {row}").wait_for()
+        desk.wait_for(lambda: magenta(desk) > 50, "the selection in the scene")
     desk.page.mouse.click(*GROUND)
     desk.page.get_by_text("Click an obstacle").wait_for()
 
@@ -183,7 +212,8 @@ def test_an_obstacle_is_dragged_while_it_flies_and_going_back_restores_the_world
     desk.session.set_speed(0.1)
     desk.session.play()
     desk.wait_for(lambda: desk.session.frame.index > start, "the flight")
-    desk.drag(desk.place_on_page(np.add(before, (0.0, 0.0, 1.2))), (0.0, -60.0))
+    x, y = desk.place_on_page(before)
+    desk.drag((x, y - 0.75 * ARROW), (0.0, -60.0))
     desk.wait_for(lambda: present(desk, "sphere").center[2] > before[2] + 0.3, "a higher sphere")
     assert desk.session.playing
     desk.session.pause()

@@ -53,6 +53,10 @@ def test_a_number_below_the_bars_selects_an_instance_everywhere(desk):
     verdict = desk.page.locator(".aero-verdict")
     verdict.wait_for()
     assert "Instance 5" in verdict.inner_text()
+    numbers = desk.page.locator(".aero-number")
+    assert numbers.all_inner_texts() == [str(m) for m in range(17)]
+    assert "font-weight: 700" in (numbers.nth(INSTANCE).get_attribute("style") or "").replace(":700", ": 700")
+    assert desk.page.get_by_text("dashed:").count() == 1, "a label of the lines"
     assert desk.page.locator(".aero-plot").count() == 7 and desk.page.locator(".aero-weights").count() == 1
     desk.wait_for(lambda: magenta(desk) > 30, "the selection in the scene")
     frame = desk.session.frame

@@ -84,8 +84,9 @@ def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(
 
 def test_a_curve_of_zeros_has_an_axis_that_can_be_read(session, dashboard):
     plan = session.frame.plan
-    clear = dataclasses.replace(plan, clearance=np.zeros_like(plan.clearance))
-    dashboard.history.add(dataclasses.replace(session.frame, plan=clear))
+    near = dataclasses.replace(plan, clearance=np.zeros_like(plan.clearance))
+    is_safe = np.zeros(len(plan.kinds), np.bool_)
+    dashboard.history.add(dataclasses.replace(session.frame, plan=near, is_safe=is_safe))
     assert axis(content_of(dashboard, ChartPanel, session.frame), "safe") == 1.0
 
 

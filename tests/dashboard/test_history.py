@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.dashboard.history import COLUMNS, FlightHistory, drone_clearance, first_difference
 from aero_viz.dashboard.panels.charts import CURVES, envelope, flight_table, table
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, FlightFigures
@@ -59,7 +59,29 @@ def test_the_same_flight_again_is_no_fork_and_another_weight_is_one(session):
     past = history.past()
     assert past.differs_at is not None and flown[9, 0] < past.differs_at <= flown[14, 0]
     assert [event.kind for event in past.events if event.kind != "braking"] == ["parameters"]
-    assert "costs.q_track" in past.events[0].text and "50.0" in past.events[0].text
+    assert "Guide tracking weight" in past.events[0].text and "50" in past.events[0].text
+
+
+def test_changes_at_one_tick_are_one_event_with_the_net_change(session):
+    history = FlightHistory()
+    fly(session, history, 3)
+    before = session.config
+
+    def changes(**values: float) -> list[str]:
+        session.configure({path.replace("__", "."): value for path, value in values.items()})
+        history.add(session.frame)
+        return [event.text for event in history.past().events if event.kind == "parameters"]
+
+    limit = f"Speed limit [m/s]: {before.vehicle.speed_limit:g} → "
+    assert changes(vehicle__speed_limit=3.123456789) == [f"{limit}3.1235"]
+    assert len(changes(costs__height_max=21.461567003384317)) == 1
+    assert changes(costs__height_max=before.costs.height_max) == [f"{limit}3.1235"]
+    assert changes(vehicle__speed_limit=before.vehicle.speed_limit) == []
+    fly(session, history, 1)
+    assert changes(vehicle__speed_limit=2.0) == [f"{limit}2"]
+    session.configure(PlannerConfig.preset("paper"))
+    history.add(session.frame)
+    assert re.search(r"; \d+ more parameters$", history.past().events[-1].text)
 
 
 def figures(table: str, label: str) -> list[float]:
@@ -89,7 +111,7 @@ def test_ticks_without_a_safe_candidate_are_those_of_the_planner(session):
     last = session.frame
     history.add(dataclasses.replace(last, time=last.time + last.source.period, plan=braking))
     columns: dict[str, np.ndarray] = dict(zip(COLUMNS, history.past().rows.T, strict=True))
-    assert (columns["safe"] > 0.0).all(), "every plan has candidates with the safe clearance"
+    assert (columns["clear"] > 0.0).all(), "every plan has candidates with the safe clearance"
     assert FlightFigures.from_columns(columns, "flying").unsafe_ticks == 1
 
 

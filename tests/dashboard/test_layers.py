@@ -23,6 +23,7 @@ from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import World, scene
+from aero_viz.scenes.obstacles import ObstacleKey, obstacle_at, with_obstacle
 from aero_viz.sensors import LidarModel
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
@@ -257,6 +258,22 @@ def test_an_obstacle_is_faint_while_it_is_between_a_camera_and_the_drone(server,
     layer.eyes = [np.array((-4.0, 0.0, -2.0)), np.array((9.0, 0.0, -2.0))]
     apply(layer.update(frame))
     assert layer.faint.visible, "one of two visitors would not see the drone"
+
+
+def test_a_thrown_or_moving_obstacle_is_never_faint(server):
+    layer, eye = ObstacleLayer(server), np.array((9.0, 0.0, -2.0))
+    session = Session(solid(cylinders=SOLIDS["cylinders"]))
+    frame = session.tick()
+    session.close()
+    world = frame.world
+    assert world is not None
+    thrown = with_obstacle(world, obstacle_at(world, ObstacleKey("cylinders", 0)))
+    moving = dataclasses.replace(world, motion=np.array([[0.0, 0.1, 1.0]]))
+    for shown, faint in ((world, [0]), (thrown, [0]), (moving, [])):
+        observation = dataclasses.replace(frame.observation, world=shown)
+        layer.eyes = [eye]
+        apply(layer.update(dataclasses.replace(frame, observation=observation)))
+        assert layer.faint_obstacles == [ObstacleKey("cylinders", row) for row in faint]
 
 
 def test_points_between_a_camera_and_the_drone_are_left_out(server, frame):

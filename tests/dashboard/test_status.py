@@ -119,37 +119,58 @@ def bars_of(content: str) -> list[str]:
     return re.findall(r'title="\d+ \w+: S2[^"]*" style="([^"]*)"', content)
 
 
-def test_the_chosen_instance_is_no_rank_and_bars_without_clearance_are_faint(session, dashboard):
+def faint_bars(content: str) -> list[int]:
+    return [m for m, style in enumerate(bars_of(content)) if "opacity" in style]
+
+
+def test_the_chosen_instance_is_no_rank_and_a_status_without_a_safe_candidate_is_named(session, dashboard):
     plan, best = session.frame.plan, int(session.frame.plan.best)
-    clearance = np.full_like(plan.clearance, 1.0)
-    clearance[[2, 5], 3] = 0.01
-    content = status_of(dashboard, plan=dataclasses.replace(plan, clearance=clearance))
+    content = status_of(dashboard)
     assert f"chosen: instance {best}, {plan.kinds[best]}</span>" in content
     assert "among safe candidates" in content and "no candidate is safe" not in content
-    assert [m for m, style in enumerate(bars_of(content)) if "opacity" in style] == [2, 5]
     braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
     assert f"{plan.kinds[best]}; no candidate is safe</span>" in status_of(dashboard, plan=braking)
     config = session.frame.config.replace({"candidates.prefer_safe": False})
     assert "; the cheapest candidate is not safe</span>" in status_of(dashboard, plan=braking, config=config)
 
 
-def test_bars_of_instances_that_are_known_to_be_unsafe_are_faint(session, dashboard):
+def test_bars_are_faint_for_the_instances_that_are_unsafe_and_the_table_counts_the_others(session, dashboard):
+    is_safe = np.ones(len(session.frame.plan.kinds), np.bool_)
+    is_safe[[2, 5]] = False
+    assert faint_bars(status_of(dashboard, is_safe=is_safe)) == [2, 5]
+    table = tick_table(session.frame, dataclasses.replace(session.frame, is_safe=is_safe))
+    count = len(is_safe)
+    assert re.search(f"safe candidates(<[^>]*>)+{count} of {count}(<[^>]*>)+{count - 2} of {count}<", table), table
+
+
+def test_bars_are_faint_for_the_instances_that_the_plan_of_a_drone_shows_to_be_unsafe(session, dashboard):
     """Instances that cost less than the chosen one have no clear stop; if none has one, the clearance says nothing."""
-    plan = session.frame.plan
+    plan, config = session.frame.plan, session.frame.config
     cost = np.arange(len(plan.kinds), dtype=np.float32)
     plan = dataclasses.replace(plan, stage2_cost=cost, best=2, clearance=np.full_like(plan.clearance, 1.0))
 
-    def faint(plan: Plan, config: PlannerConfig = session.frame.config) -> list[int]:
-        styles = bars_of(status_of(dashboard, plan=plan, config=config))
-        return [m for m, style in enumerate(styles) if "opacity" in style]
+    def faint(plan: Plan, config: PlannerConfig = config) -> list[int]:
+        return faint_bars(status_of(dashboard, plan=plan, config=config, is_safe=None))
 
     assert faint(plan) == [0, 1]
-    assert faint(plan, session.frame.config.replace({"candidates.prefer_safe": False})) == []
+    cheapest_wins = config.replace({"candidates.prefer_safe": False})
+    assert faint(plan, cheapest_wins) == []
     braking = dataclasses.replace(plan, status=PlanStatus.NO_SAFE_CANDIDATE)
     assert faint(braking) == list(range(len(plan.kinds)))
-    frames = [dataclasses.replace(session.frame, plan=plan) for plan in (plan, braking)]
-    table = tick_table(*frames)
-    assert re.search("a candidate is safe(<[^>]*>)+yes(<[^>]*>)+no<", table), table
+    assert faint(braking, cheapest_wins) == [2], "the one that is chosen"
+    near = dataclasses.replace(plan, best=0, clearance=np.where(cost[:, None] == 5.0, 0.01, plan.clearance))
+    assert faint(near, config.replace({"candidates.prove_stop": "required"})) == [5]
+    assert faint(near, config.replace({"candidates.prove_stop": "instead"})) == [], "it may come close beyond its stop"
+
+
+def test_the_first_tick_says_what_its_previous_plan_is(session, dashboard):
+    plan, source = session.frame.plan, session.frame.source
+    kinds = ("previous", *plan.kinds[1:])
+    first = dataclasses.replace(plan, kinds=kinds, best=0)
+    assert "previous; nothing was flown before" in status_of(dashboard, plan=first)
+    assert "nothing was flown" not in status_of(dashboard, plan=first, index=1)
+    recording = dataclasses.replace(source, times=np.arange(3.0))
+    assert "nothing was flown" not in status_of(dashboard, plan=first, source=recording)
 
 
 def test_a_log_names_the_live_planner_and_tells_its_end_once(tmp_path):

@@ -12,6 +12,7 @@ from aero_viz.errors import UserError
 from aero_viz.explain.evidence import Replanner
 from aero_viz.explain.terms import STAGE1, STAGE2
 from aero_viz.explain.verdict import verdict
+from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from tests.explain.conftest import evidence_of
 
@@ -20,6 +21,7 @@ FLIGHTS = (
     ("double_wall_trap", 36, 12, "default"),
     ("verticals", 80, 20, "paper"),
     ("verticals", 40, 20, "px4"),
+    ("double_wall_trap", 32, 16, "paper"),
 )
 
 
@@ -48,8 +50,9 @@ def test_the_planner_chooses_the_cheapest_safe_instance(flight):
         if plan.status == PlanStatus.OK:
             assert evidence.is_safe[best]
             assert best == np.where(evidence.is_safe | (not prefers_safe), plan.stage2_cost, np.inf).argmin()
-        elif prefers_safe:
-            assert not evidence.is_safe.any()
+        else:
+            assert not evidence.is_safe[best]
+            assert not (prefers_safe and evidence.is_safe.any())
 
 
 @pytest.mark.parametrize("flight", FLIGHTS)
@@ -61,7 +64,8 @@ def test_every_instance_has_its_sentence(flight):
             assert f"Instance {best} won" in sentences.pop(best)
             assert all(f"lost to {best}: " in sentence or "is unsafe: " in sentence for sentence in sentences)
         else:
-            assert all("No candidate is safe" in sentence for sentence in sentences)
+            cause = "The cheapest candidate is not safe" if flight[-1] == "paper" else "No candidate is safe"
+            assert all(cause in sentence for sentence in sentences)
 
 
 def test_a_sentence_names_term_time_and_obstacle():
@@ -84,6 +88,22 @@ def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_a
     speed = r"at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough"
     assert any(re.search(rf"is unsafe: {speed}\.", sentence) for sentence in sentences), sentences
     assert not any("the ground" in sentence for sentence in sentences), sentences
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_a_frame_knows_the_safe_instances_without_an_explanation(replan, preset: str):
+    source = open_source("double_wall_trap", seed=1)
+    wide = PlannerConfig.preset(preset).replace({"candidates.safe_clearance": 0.5, "candidates.stop_clearance": 0.5})
+    session = Session(source, config=config_for_flight(wide, source.info), seed=1)
+    for _ in range(15):
+        session.tick()
+    assert session.frame is not None and session.frame.is_safe is None, "it takes time, so only on demand"
+    session.judge_candidates().result()
+    frames = [session.frame, *[session.tick() for _ in range(8)]][::4]
+    session.close()
+    safe = [replan(frame).is_safe for frame in frames]
+    np.testing.assert_array_equal([frame.is_safe for frame in frames], safe)
+    assert not np.all(safe)
 
 
 def test_a_plan_of_a_drone_cannot_be_explained(replan):

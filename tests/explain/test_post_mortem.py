@@ -77,6 +77,7 @@ def test_the_picture_shows_the_candidates_and_the_end(trap):
     picture = draw_map(evidence, trap[0].end_position)
     chosen = [path for path in re.findall("<polyline[^>]*>", picture) if COLORS["chosen"] in path]
     assert len(chosen) == 1 and COLORS["braking"] in picture
+    assert ">- - braking</tspan>" in picture, "the key has dashes, as the lines"
     assert picture.count("<polyline") == 17 + 5 and "<rect x=" in picture and "l18 18" in picture
 
 

@@ -364,7 +364,7 @@ def test_a_flight_that_cannot_start_explains_why(live: Session):
     explanation = live.frame.explanation
     assert explanation is not None and "start" in explanation
     live.play()
-    wait_for(lambda: any(n.text == f"pole: collided with an obstacle. {explanation}" for n in notices))
+    wait_for(lambda: any(n.text == f"pole: collided. {explanation}" for n in notices))
 
 
 def test_playing_after_the_end_starts_again(live: Session):

@@ -21,6 +21,7 @@ from aero_viz.dashboard.layers.base import (
     relative_to_drone,
 )
 from aero_viz.session.frame import Frame
+from aero_viz.session.safety import known_safe
 
 _COST, _CHOSEN = palette.unmapped(palette.COST), palette.unmapped(palette.CHOSEN)
 
@@ -81,21 +82,21 @@ class RolloutLayer(Layer):
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
         height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
         others = plan.stage2_cost - plan.goal_cost - plan.collision_cost
-        clearance, is_faint = plan.clearance.min(axis=1), _known_unsafe(frame)
+        clearance, is_faint = plan.clearance.min(axis=1), ~known_safe(frame)
         bars = [
             Bar(
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
                 f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}; "
-                f"clearance {clearance[i]:.2f} m",
+                f"clearance {clearance[i]:.2f} m{_origin(frame, i)}",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
                 is_faint=bool(is_faint[i]),
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: too near or unsafe"
-        summary = f"chosen: instance {best}, {plan.kinds[best]}"
+        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: unsafe"
+        summary = f"chosen: instance {best}, {plan.kinds[best]}{_origin(frame, best)}"
         if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
             # Without prefer_safe, only the candidate with the lowest S2 is considered.
             is_any_considered = frame.config.candidates.prefer_safe
@@ -103,14 +104,8 @@ class RolloutLayer(Layer):
         return BarChart(label, summary, bars)
 
 
-def _known_unsafe(frame: Frame) -> NDArray[np.bool_]:
-    """Return True for each instance that is too near to an obstacle, or that the plan shows to be unsafe, shape [M].
-
-    The planner looks for a clear stop in the order of the costs until an instance has one, and leaves out the others.
-    """
-    plan, candidates = frame.plan, frame.config.candidates
-    is_too_near = plan.clearance.min(axis=1) < candidates.safe_clearance
-    if not candidates.prefer_safe or plan.status == PlanStatus.STALE_CLOUD:
-        return is_too_near
-    is_cheaper = plan.stage2_cost < plan.stage2_cost[int(plan.best)]
-    return is_too_near | is_cheaper | (plan.status == PlanStatus.NO_SAFE_CANDIDATE)
+def _origin(frame: Frame, instance: int) -> str:
+    """Return where the instance "previous" comes from at the first tick, after a semicolon; empty for all others."""
+    is_first = frame.index == 0 and frame.source.times is None
+    is_initial = is_first and frame.plan.kinds[instance] == "previous"
+    return "; nothing was flown before: straight toward the goal instead" if is_initial else ""

@@ -13,7 +13,7 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, view_targets
 from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
-from aero_viz.scenes.obstacles import ObstacleId, find_obstacle
+from aero_viz.scenes.obstacles import KINDS, ObstacleId, ObstacleKey, added_rows, find_obstacle
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -28,7 +28,8 @@ _RECORDED = palette.unmapped(palette.RECORDED)
 
 
 class ObstacleLayer(Layer):
-    """Obstacles of a synthetic world. The planner does not know them. Those that hide the drone are faint."""
+    """Obstacles of a synthetic world. The planner does not know them. Those that hide the drone are faint, unless they
+    move or were added during the flight."""
 
     name, title = "obstacles", "Obstacles (ground truth)"
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
@@ -40,6 +41,10 @@ class ObstacleLayer(Layer):
         self._sight: SightLines | None = None
         self._instances: dict[str, Instances] = {}
         self._surface = _NO_MESH
+        self._drawn_rows: dict[str, NDArray[np.int64]] = {}
+        """Row in the world of each instance, by kind."""
+        self._solid: dict[str, NDArray[np.int64]] = {}
+        """Instances that are never faint, by kind."""
         self._faded: dict[str, NDArray[np.int64]] = {}
         self._marked: dict[str, NDArray[np.int64]] = {}
         style: Any = {"material": "toon5", "visible": False}
@@ -67,12 +72,14 @@ class ObstacleLayer(Layer):
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self.available = source.world is not None
-        return self._show(source.world)
+        return self._show(source.world, source.world)
 
-    def _show(self, world: World | None) -> list[Change]:
-        """Return the changes that show the obstacles of a world."""
+    def _show(self, world: World | None, moving: World | None) -> list[Change]:
+        """Return the changes that show the obstacles of a world; `moving` is that world with their motion."""
         self._world = world
         self._faded, self._marked = {}, {}
+        self._drawn_rows = {} if world is None else {kind: _drawn_rows(world, kind) for kind in KINDS.values()}
+        self._solid = {} if moving is None else {kind: self._never_faint(moving, kind) for kind in KINDS.values()}
         self._sight = None if world is None else SightLines(world)
         self._instances = {} if world is None else world_instances(world)
         self._surface = _NO_MESH if world is None else world_meshes(world).get("triangles", _NO_MESH)
@@ -96,7 +103,7 @@ class ObstacleLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         """Replace the obstacles between a camera and the drone, or its plan, by faint ones."""
-        changes = [] if frame.world is self._world else self._show(frame.world)
+        changes = [] if frame.world is self._world else self._show(frame.world, frame.moving_world)
         return [*changes, *self._fade(frame)]
 
     def _fade(self, frame: Frame) -> list[Change]:
@@ -107,7 +114,8 @@ class ObstacleLayer(Layer):
         kinds = (*self._instances, "triangles")
         faded = {kind: np.unique(np.concatenate([_NO_ROWS, *(rows[kind] for rows in found)])) for kind in kinds}
         marked = self._selected_rows()
-        faded |= {kind: np.setdiff1d(faded[kind], rows) for kind, rows in marked.items()}
+        for solid in (marked, self._solid):
+            faded |= {kind: np.setdiff1d(faded[kind], rows) for kind, rows in solid.items() if kind in faded}
         if _equal(faded, self._faded) and _equal(marked, self._marked):
             return []
         self._faded, self._marked = faded, marked
@@ -119,9 +127,20 @@ class ObstacleLayer(Layer):
         key = None if self.selected is None or self._world is None else find_obstacle(self._world, self.selected)
         if key is None or self._world is None or key.kind not in self._instances:
             return {}
-        kind, row = key
-        is_drawn = ~self._world.ground if kind == "boxes" else np.ones(len(getattr(self._world, kind)), dtype=bool)
-        return {kind: np.flatnonzero(np.flatnonzero(is_drawn) == row)}
+        return {key.kind: np.flatnonzero(self._drawn_rows[key.kind] == key.row)}
+
+    def _never_faint(self, world: World, kind: str) -> NDArray[np.int64]:
+        """Return the instances of a kind that were added or move: they matter most where they hide the plan."""
+        rows = added_rows(world, kind)
+        if kind == "cylinders":
+            rows = np.union1d(rows, np.flatnonzero(world.moves))
+        return np.flatnonzero(np.isin(self._drawn_rows[kind], rows))
+
+    @property
+    def faint_obstacles(self) -> list[ObstacleKey]:
+        """The solids that are faint."""
+        faded = {kind: self._drawn_rows[kind][rows] for kind, rows in self._faded.items() if kind in self._drawn_rows}
+        return [ObstacleKey(kind, int(row)) for kind, rows in faded.items() for row in rows]
 
     def _remaining(self, hidden: dict[str, NDArray[np.int64]]) -> list[Change]:
         changes: list[Change] = []
@@ -148,6 +167,11 @@ class ObstacleLayer(Layer):
             (node, "faces", mesh.faces.astype(np.uint32)),
             (node, "visible", True),
         ]
+
+
+def _drawn_rows(world: World, kind: str) -> NDArray[np.int64]:
+    """Return the rows of a table whose solids are drawn: all but the ground."""
+    return np.flatnonzero(~world.ground) if kind == "boxes" else np.arange(len(getattr(world, kind)))
 
 
 def _equal(rows: dict[str, NDArray[np.int64]], others: dict[str, NDArray[np.int64]]) -> bool:

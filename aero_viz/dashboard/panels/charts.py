@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import dataclasses
 import io
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,7 +32,7 @@ _GAP = 0.25
 _GHOST_LINE = 'class="aero-ghost" stroke-dasharray="5 3"'
 _NAMES = {
     "A": (("A", "B"), "the flight of configuration A"),
-    "before": (("before", "now"), "the future before"),
+    "before": (("before", "now"), "the future that was left"),
 }
 """Headings and description of a ghost by its name."""
 _EVENT_COLORS = palette.OUTCOMES | {
@@ -69,7 +70,9 @@ CURVES = (
         (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", names=("all", "goal", "collision"), is_log=True,
     ),
     Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f", has_outliers=True),  # the first plan compiles kernels
-    Curve("candidates with clearance", ("safe",), (palette.GOOD,), ".0f"),
+    Curve(
+        "candidates", ("safe", "clear"), (palette.GOOD, palette.GUIDE), ".0f", names=("safe", "with clearance"),
+    ),
     Curve("effective samples", ("samples",), (palette.RECORDED,), ".1f"),
 )  # fmt: skip
 
@@ -152,7 +155,7 @@ def _drawing(past: Past, frame: Frame) -> str:
     gap = max(_GAP, 10.0 * frame.source.period)
     at = int(np.clip(np.searchsorted(past.rows[:, 0], frame.time + 1e-9) - 1, 0, len(past.rows) - 1))
     cursor = (frame.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    curves = [curve for curve in CURVES if np.isfinite(past.rows[:, COLUMNS.index(curve.columns[0])]).any()]
+    curves = [curve for curve in (_known(curve, past.rows) for curve in CURVES) if curve.columns]
     parts = [_curve(_named(curve, frame), past, span, gap, at) for curve in curves]
     height = len(curves) * (_HEIGHT + 18)
     marks = "".join(_mark(event, span) for event in past.events)
@@ -176,6 +179,13 @@ def _drawing(past: Past, frame: Frame) -> str:
     )
 
 
+def _known(curve: Curve, rows: Array) -> Curve:
+    """Return a curve without the columns of which nothing is known."""
+    is_known = [bool(np.isfinite(rows[:, COLUMNS.index(name)]).any()) for name in curve.columns]
+    kept = [list(itertools.compress(values, is_known)) for values in (curve.columns, curve.colors, curve.names)]
+    return dataclasses.replace(curve, columns=tuple(kept[0]), colors=tuple(kept[1]), names=tuple(kept[2]))
+
+
 def _named(curve: Curve, frame: Frame) -> Curve:
     """Return a curve with the label that suits the source: only a flight in a world knows the true clearance."""
     if curve.columns != ("clearance",):
@@ -193,7 +203,8 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
     def paths(rows: Array, opacity: float, ghost: str = "") -> str:
         drawn = ""
         for index, color in zip(indices, curve.colors, strict=True):
-            for line in envelope(rows[:, 0], rows[:, index].clip(0.0, top), span, gap=gap):
+            known = rows[np.isfinite(rows[:, index])]
+            for line in envelope(known[:, 0], known[:, index].clip(0.0, top), span, gap=gap):
                 line[:, 1] = _HEIGHT - 1 - (_HEIGHT - 3) * _scaled(curve, line[:, 1]) / height
                 points = " ".join([f"{x:.1f},{y:.1f}" for x, y in line.tolist()])
                 drawn += (
@@ -260,8 +271,11 @@ def _fork(past: Past) -> str:
     if not len(past.ghost):
         return ""
     names, what = _NAMES.get(past.ghost_name, (("A", "B"), f"A, {past.ghost_name}"))
-    differs = "no difference so far" if past.differs_at is None else f"first difference at {past.differs_at:.2f} s"
-    note = markup.note(f"{'Forked' if past.ghost_name == 'before' else 'Compared'}: dashed is {what}; {differs}.")
+    same = "They do not differ so far." if past.differs_at is None else f"They first differ at {past.differs_at:.2f} s."
+    solid = (
+        "The flight was continued from an earlier tick" if past.ghost_name == "before" else "Two flights are compared"
+    )
+    note = markup.note(f"{solid}: the dashed curves are {what}. {same}")
     return f'<div class="aero-fork">{note}{flight_table(past, names)}</div>'
 
 

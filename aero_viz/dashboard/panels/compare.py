@@ -15,15 +15,13 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.charts import flight_table
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
+from aero_viz.session.safety import known_safe
 
 _PIN_HINT = (
     "Pin the present configuration as A; the controls below change B. While the session is paused, both plan its tick, "
     "and the rollouts of A have the colour of the ghost."
 )
 _FLY_HINT = "A flies from this tick to its end, as the ghost; then B flies from the same tick, with the same noise."
-
-_SAFE = {PlanStatus.OK: "yes", PlanStatus.NO_SAFE_CANDIDATE: "no", PlanStatus.STALE_CLOUD: "no cloud"}
-"""Whether a candidate is safe, which asks for a clear stop besides the clearance, by the status of the plan."""
 
 
 class ComparePanel(Panel):
@@ -113,7 +111,7 @@ def tick_table(a: Frame, b: Frame) -> str:
     """Return the plans of A and B for the same tick in figures, as HTML."""
     labels = (
         "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
-        "clearance of the plan [m]", "speed at its end [m/s]", "candidates with clearance", "a candidate is safe",
+        "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates", "candidates with clearance",
         "plan time [ms]",
     )  # fmt: skip
     return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
@@ -124,7 +122,7 @@ def _plan(frame: Frame) -> tuple[str, ...]:
     s2, goal, collision = (float(cost[best]) for cost in (plan.stage2_cost, plan.goal_cost, plan.collision_cost))
     clearance, reach = float(plan.clearance[best].min()), frame.config.costs.distance_max
     is_beyond = clearance >= reach - 1e-4
-    safe = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
+    clear = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
     return (
         f"{best} {plan.kinds[best]}",
         f"{s2:.5g}",
@@ -133,7 +131,15 @@ def _plan(frame: Frame) -> tuple[str, ...]:
         f"{s2 - goal - collision:.5g}",
         f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
         f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
-        f"{safe} of {len(plan.kinds)}",
-        _SAFE[PlanStatus(int(np.asarray(plan.status)))],
+        _safe_count(frame),
+        f"{clear} of {len(plan.kinds)}",
         f"{frame.timings_ms.get('plan', 0.0):.1f}",
     )
+
+
+def _safe_count(frame: Frame) -> str:
+    """Return how many candidates are safe, which asks for a clear stop besides the clearance."""
+    if frame.plan.status == PlanStatus.STALE_CLOUD:
+        return "no cloud"
+    limit = "at most " if frame.is_safe is None else ""
+    return f"{limit}{np.count_nonzero(known_safe(frame))} of {len(frame.plan.kinds)}"

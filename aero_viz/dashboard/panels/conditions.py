@@ -15,7 +15,7 @@ from aero_viz.scenes.generators import COUNT_MAX
 from aero_viz.sensors.models import LIDARS
 from aero_viz.session.source import Conditions
 
-_HINT = "Used when a scene or a world is opened."
+_HINT = "Open applies it: the flight that is shown stays as it is."
 
 
 class ConditionControls:

@@ -16,8 +16,6 @@ class Key:
     """Action, for the program."""
     label: str
     """Description, for the user."""
-    shown: str
-    """Label of the key, as on a keyboard."""
     hotkey: Any
     """Name of the key in viser."""
     modifier: Any = None
@@ -25,29 +23,35 @@ class Key:
     """True if it affects this visitor only, who then needs no control of the session."""
     argument: Any = None
     """Arguments of the action after the visitor."""
+    also: str = ""
+    """Another key with the same effect."""
+
+    @property
+    def shown(self) -> str:
+        """Name of the key as in viser's palette of commands, and that of the other one."""
+        modifiers = "" if self.modifier is None else self.modifier.replace("cmd/ctrl", "Ctrl").replace("shift", "Shift")
+        name = f"{modifiers}+{self.hotkey}" if modifiers else self.hotkey
+        return f"{name} or {self.also}" if self.also else name
 
 
 _LAYERS = {
     "O": "obstacles", "C": "cloud", "R": "rollouts", "N": "anchors", "G": "guides", "X": "coarse_cells", "V": "samples"
 }  # fmt: skip
 KEYS: tuple[Key, ...] = (
-    Key("play", "Play or pause", "Space", "space"),
-    Key("step", "One tick back", "← or ,", ",", argument=-1),
-    Key("step", "One tick forward", "→ or .", ".", argument=1),
-    Key("step", "Ten ticks back", "Shift ←", ",", "shift", argument=-10),
-    Key("step", "Ten ticks forward", "Shift →", ".", "shift", argument=10),
-    Key("undo", "Undo a change", "Ctrl Z", "Z", "cmd/ctrl"),
-    Key("redo", "Redo a change", "Ctrl Shift Z", "Z", "cmd/ctrl+shift"),
-    Key("throw", "Throw an obstacle", "T", "T"),
-    Key("remove", "Remove the selected obstacle", "Delete", "delete"),
-    *(Key("camera", f"Camera: {mode}", f"{i}", f"{i}", own=True, argument=mode) for i, mode in enumerate(MODES, 1)),
-    *(
-        Key("layer", f"Layer: {name.replace('_', ' ')}", key, key, own=True, argument=name)
-        for key, name in _LAYERS.items()
-    ),
-    Key("theme", "Light or dark panels", "L", "L", own=True),
-    Key("help", "Show or hide the keys", "?", "?", "shift", own=True),
-    Key("close", "Hide the keys", "Esc", "escape", own=True),
+    Key("play", "Play or pause", "space"),
+    Key("step", "One tick back", ",", argument=-1, also="←"),
+    Key("step", "One tick forward", ".", argument=1, also="→"),
+    Key("step", "Ten ticks back", ",", "shift", argument=-10, also="Shift+←"),
+    Key("step", "Ten ticks forward", ".", "shift", argument=10, also="Shift+→"),
+    Key("undo", "Undo a change", "Z", "cmd/ctrl"),
+    Key("redo", "Redo a change", "Z", "cmd/ctrl+shift"),
+    Key("throw", "Throw an obstacle", "T"),
+    Key("remove", "Remove the selected obstacle", "delete"),
+    *(Key("camera", f"Camera: {mode}", f"{i}", own=True, argument=mode) for i, mode in enumerate(MODES, 1)),
+    *(Key("layer", f"Layer: {name.replace('_', ' ')}", key, own=True, argument=name) for key, name in _LAYERS.items()),
+    Key("theme", "Light or dark panels", "L", own=True),
+    Key("help", "Show or hide the keys", "?", "shift", own=True),
+    Key("close", "Hide the keys", "escape", own=True),
 )
 LISTENER = """
 if (!window.aeroKeys) {

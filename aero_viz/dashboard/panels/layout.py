@@ -18,6 +18,7 @@ from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
+from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
@@ -34,6 +35,9 @@ from aero_viz.session.source import Conditions, Opener
 
 if TYPE_CHECKING:
     from aero_viz.evaluation.tune import StoredStudy
+
+_TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune", "Study", "Parameters")
+"""Names of the tabs that a page may have."""
 
 
 def build(
@@ -65,6 +69,7 @@ def build(
     }
     if controls is not None:
         actions |= {"undo": lambda _: controls.undo(), "redo": lambda _: controls.redo()}
+    panels.append(open_tabs := OpenTabs(page, _TABS))
     tabs = gui.add_tab_group()
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
@@ -80,7 +85,7 @@ def build(
                 panels.append(GoalPanel(page, controls))
     if controls is not None:
         with tabs.add_tab("World", viser.Icon.TREES):
-            panels.append(obstacles := ObstaclePanel(page, controls))
+            panels.append(obstacles := ObstaclePanel(page, controls, open_tabs))
             actions |= {"throw": lambda _: obstacles.throw(), "remove": lambda _: obstacles.remove()}
             with gui.add_folder("Wind, faults, drone") as folder:
                 panels.append(DisturbancePanel(page, controls, folder))
@@ -88,7 +93,7 @@ def build(
         panels.append(ChartPanel(page))
     if controls is not None:  # the frames of a drone hold too little to explain them
         with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
-            panels += [PostMortemPanel(page), WhyPanel(page)]
+            panels += [PostMortemPanel(page), WhyPanel(page, open_tabs)]
     with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
         panels.append(layers := LayerPanel(page, tab))
         actions["layer"] = layers.toggle

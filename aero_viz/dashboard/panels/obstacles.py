@@ -17,6 +17,7 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.scenery import ObstacleLayer
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Hold, Page, Panel
+from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.errors import UserError
 from aero_viz.scenes.obstacles import (
     Obstacle,
@@ -36,6 +37,8 @@ from aero_viz.session.source import SourceInfo
 _PAUSE = 0.4
 """Time for which a typed number must stay unchanged before it is used [s]: a 12 is first a 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
+_ARROWS = 80.0
+"""Length of the arrows [pixels]."""
 _ADDED_AT = (6.0, 3.0)
 """Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
@@ -50,10 +53,12 @@ class ObstaclePanel(Panel):
     Args:
         page: page of the panel.
         controls: commands of the session, which holds the world; every edit belongs to the tick at which it is made.
+        tabs: the tabs that are open.
     """
 
-    def __init__(self, page: Page, controls: SessionControls) -> None:
+    def __init__(self, page: Page, controls: SessionControls, tabs: OpenTabs) -> None:
         self._controls = controls
+        self._tabs = tabs
         self._selected: ObstacleId | None = None
         super().__init__(page)
 
@@ -61,11 +66,19 @@ class ObstaclePanel(Panel):
         self._touched, self._dragged = Hold(), Hold()
         self._drag_step = object()
         """Stands for the drag in progress, or else for the next one."""
+        self._grabbed_at: tuple[float, ...] | None = None
+        """Position of the arrows at which they were grabbed, until they move [m]."""
         self._absence = gui.add_html(markup.note(_ABSENT), visible=False)
         with gui.add_folder(None) as self._folder:
             self._create_controls(gui)
         self._arrows = self.page.server.scene.add_transform_controls(
-            "/obstacle_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
+            "/obstacle_arrows",
+            scale=_ARROWS,
+            fixed=True,
+            disable_rotations=True,
+            disable_sliders=True,
+            depth_test=False,
+            visible=False,
         )
         self._typed: dict[tuple[ObstacleId | None, str], Callable[[Obstacle], Obstacle]] = {}
         """Changes by numbers that were typed and wait, by obstacle and label of the field."""
@@ -87,7 +100,7 @@ class ObstaclePanel(Panel):
         self._yaw = gui.add_number("Heading [deg]", 0.0, step=5.0, visible=False, hint="Rotation of the box about z.")
         self._center.precision = self._size.precision = self._yaw.precision = 3
         self._remove = gui.add_button("Remove", icon=viser.Icon.TRASH, color="gray", visible=False)
-        hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl Z, Ctrl Shift Z."
+        hint = "Undo or redo one change of the obstacles or the parameters. Keys: Ctrl+Z, Ctrl+Shift+Z."
         self._history = gui.add_button_group("History", ("undo", "redo"), hint=hint)
         hint = "Download the world as it is now, with its goal, as JSON that `aero-viz fly` and Open path read."
         self._save = gui.add_button("Save world", icon=viser.Icon.DOWNLOAD, color="gray", hint=hint)
@@ -123,6 +136,11 @@ class ObstaclePanel(Panel):
 
         @self._arrows.on_update
         async def _(event: viser.TransformControlsEvent) -> None:
+            if event.phase == "start":
+                self._grabbed_at = tuple(self._arrows.position)
+            if tuple(self._arrows.position) == self._grabbed_at:
+                return  # a click
+            self._grabbed_at = None
             self._dragged.begin()
             self._drags.put((self._selected, tuple(self._arrows.position), event.phase != "end"))
 
@@ -152,8 +170,10 @@ class ObstaclePanel(Panel):
         # No node is clickable: viser's outline around one under the mouse fails in a scene with fog, and a faint
         # obstacle is not a separate node. The world finds the obstacle on the ray instead.
         frame = self.session.frame
-        if frame is not None and frame.world is not None:
-            key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction)
+        if frame is not None and frame.world is not None and self._tabs.is_open("World", event.client_id):
+            layer = self.page.layers.get("obstacles")
+            faint = layer.faint_obstacles if isinstance(layer, ObstacleLayer) else ()
+            key = pick_obstacle(frame.world, event.ray_origin, event.ray_direction, ignored=faint)
             self._select(None if key is None else identify(frame.world, key))
 
     def _select(self, identity: ObstacleId | None) -> None:

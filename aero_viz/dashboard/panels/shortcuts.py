@@ -44,7 +44,9 @@ class ShortcutPanel(Panel):
     def _add(self, gui: viser.GuiApi, key: Key) -> None:
         action = self._actions[key.action]
 
-        @gui.add_command(key.label, hotkey=key.hotkey, modifier=key.modifier).on_trigger
+        also = f"or {key.also}" if key.also else None  # the palette shows it before the key itself
+
+        @gui.add_command(key.label, description=also, hotkey=key.hotkey, modifier=key.modifier).on_trigger
         async def _(event: viser.CommandEvent) -> None:
             arguments = () if key.argument is None else (key.argument,)
             self.page.attempt(lambda: action(event.client, *arguments), event.client)

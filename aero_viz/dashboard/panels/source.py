@@ -78,7 +78,9 @@ class SourcePanel(Panel):
         self.opening = Opening(self._opened, seed, conditions)
         """Source that is open."""
         self._is_listed = False
-        """True while the list shows the open source."""
+        """True while the list shows the open source, or what somebody has chosen since."""
+        self._is_chosen = False
+        """True if somebody has chosen an entry of the list since the last source began to open."""
         self._reader: ReaderProcess | None = None
         """Reader of the source that is being opened; None if there is none."""
         self._is_read = False
@@ -98,6 +100,8 @@ class SourcePanel(Panel):
         if self._first_conditions is not None:
             self._conditions = ConditionControls(gui, self._first_conditions)
             self._conditions.offer(self._opened, count=self._first_conditions.count)
+        if self._choices:
+            self._add_open(gui)
         hint = "Path of a recording or a world in the folders that the page may open, or the name of a scene."
         with gui.add_form(None) as form:
             path = gui.add_text("Path", "", hint=hint)
@@ -120,14 +124,20 @@ class SourcePanel(Panel):
         """Add the list of sources, which shows the one that is open until another one is chosen."""
         self._choice = gui.add_dropdown("Scene", tuple(self._choices), hint="Scenes and recordings to open.")
         description = gui.add_html(markup.note(self._choices[self._choice.value][0]))
-        open_choice = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray")
 
         @self._choice.on_update
-        async def _(_: viser.GuiEvent) -> None:
+        async def _(event: viser.GuiEvent) -> None:
+            if event.client is not None:
+                self._is_listed = self._is_chosen = True
             text, spec = self._choices[self._choice.value]
             description.content = markup.note(text)
             if self._conditions is not None:
                 self._conditions.offer(spec)
+
+    def _add_open(self, gui: viser.GuiApi) -> None:
+        """Add the button that opens the chosen source, below all that it uses."""
+        hint = "Open the scene with this seed and these conditions; a change of them alone has no effect."
+        open_choice = gui.add_button("Open", icon=viser.Icon.PLAYER_EJECT, color="gray", hint=hint)
 
         @open_choice.on_click
         async def _(event: viser.GuiEvent) -> None:
@@ -207,7 +217,7 @@ class SourcePanel(Panel):
         link: Link | None = None,
     ) -> None:
         """Open a source by name or path and make it the session's; problems are shown to `client`."""
-        self._cancel.visible = True
+        self._cancel.visible, self._is_chosen = True, False
         try:
             with self._progress_notification(f"Opening {spec} ..", reader, client):
                 path = self._find(spec, client)
@@ -261,7 +271,7 @@ class SourcePanel(Panel):
             # If its first tick fails, the session notifies everyone.
             is_used = self._controls.set_source(source, seed=seed, convert=as_known).exception() is None
             if is_used:
-                self._opened, self._is_listed = path, False
+                self._opened, self._is_listed = path, self._is_chosen
             if was_playing or (is_used and had_ended):
                 self.session.play()
             return is_used

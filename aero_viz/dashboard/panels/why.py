@@ -12,7 +12,8 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.why_card import card, chart
 from aero_viz.errors import UserError
 from aero_viz.explain.evidence import Evidence, Replanner
@@ -29,7 +30,23 @@ _HINT = (
 
 
 class WhyPanel(Panel):
-    """Costs by term over all instances, and the card of the selection. It computes nothing while it is switched off."""
+    """Costs by term over all instances, and the card of the selection. It computes nothing while it is switched off.
+
+    The selection is highlighted in the scene, and follows clicks there, while the tab is open.
+
+    Args:
+        page: page of the panel.
+        tabs: the tabs that are open.
+    """
+
+    def __init__(self, page: Page, tabs: OpenTabs) -> None:
+        self._tabs = tabs
+        self._instance: int | None = None
+        """Selected instance."""
+        self._point: np.ndarray | None = None
+        """Selected point of the cloud [m], shape [3]."""
+        super().__init__(page)
+        tabs.on_change(self._follow_tab)
 
     def create(self, gui: viser.GuiApi) -> None:
         self._replan = Replanner()
@@ -55,19 +72,23 @@ class WhyPanel(Panel):
         async def _(_: viser.GuiEvent) -> None:
             self.select(None if self._numbers.value == "none" else int(self._numbers.value))
 
-    @property
-    def _selection(self) -> SelectionLayer | None:
-        layer = self.page.layers.get("selection")
-        return layer if isinstance(layer, SelectionLayer) else None
-
     def select(self, instance: int | None, point: np.ndarray | None = None) -> None:
         """Select an instance or a point of the cloud [m], shape [3], and highlight it everywhere."""
-        self._highlight(instance, point)
+        self._instance, self._point = instance, point
+        self._highlight()
         self._due = 0.0
         self.page.refresh()
 
-    def _highlight(self, instance: int | None, point: np.ndarray | None) -> None:
-        if (layer := self._selection) is not None:
+    def _follow_tab(self) -> None:
+        if self._instance is not None or self._point is not None:
+            self._highlight()
+            self.page.refresh()
+
+    def _highlight(self) -> None:
+        """Highlight the selection in the scene and in the chart of the rollouts if a visitor has the tab open."""
+        is_open = self._tabs.is_open("Why")
+        instance, point = (self._instance, self._point) if is_open else (None, None)
+        if isinstance(layer := self.page.layers.get("selection"), SelectionLayer):
             layer.instance, layer.point = instance, point
         if isinstance(rollouts := self.page.layers.get("rollouts"), RolloutLayer):
             rollouts.selected = instance
@@ -78,7 +99,7 @@ class WhyPanel(Panel):
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         frame = self.session.frame
-        if frame is None:
+        if frame is None or not self._tabs.is_open("Why", event.client_id):
             return
         cells = any(
             self.page.layers[name].visible for name in ("fine_cells", "coarse_cells") if name in self.page.layers
@@ -88,7 +109,8 @@ class WhyPanel(Panel):
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._due = 0.0
-        self._highlight(None, None)
+        self._instance = self._point = None
+        self._highlight()
         return []
 
     def update(self, frame: Frame) -> list[Change]:
@@ -106,10 +128,7 @@ class WhyPanel(Panel):
         return changes if self._numbers.options == options else [*changes, (self._numbers, "options", options)]
 
     def _key(self, frame: Frame) -> tuple[object, ...]:
-        layer = self._selection
-        if layer is None:
-            return frame, None, None
-        return frame, layer.instance, None if layer.point is None else tuple(layer.point.tolist())
+        return frame, self._instance, None if self._point is None else tuple(self._point.tolist())
 
     def _explain(self, frame: Frame) -> None:
         """Explain a frame and show the result, on the mailbox's thread."""

@@ -30,7 +30,7 @@ def chart(evidence: Evidence, selected: int | None) -> str:
     excess = terms - terms.min(axis=1, keepdims=True)
     total = excess.sum(axis=0)
     height = np.log1p(total) / max(float(np.log1p(total).max()), 1e-9)
-    columns = ""
+    columns = numbers = ""
     for m, kind in enumerate(plan.kinds):
         parts = "".join(
             f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(_COLORS[name])}"></div>'
@@ -47,9 +47,12 @@ def chart(evidence: Evidence, selected: int | None) -> str:
             f'<div class="aero-terms" data-instance="{m}" title="{markup.text(label)}" '
             f'style="flex:1;height:{max(4.0, 100.0 * height[m]):.0f}%{outline}{faint}">{parts}</div>'
         )
+        style = f"color:{css(palette.SELECTED)};font-weight:700" if m == selected else ""
+        numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{m}</div>'
     shown = [name for name, row in zip(STAGE2, excess, strict=True) if row.max() > 0.0]
     heading = markup.heading("S2 above the least of each term, log.: shorter is better", "faint: unsafe")
-    bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0">{columns}</div>'
+    bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0 0">{columns}</div>'
+    bars += f'<div style="display:flex;gap:3px;font-size:9px;margin-bottom:4px">{numbers}</div>'
     return heading + bars + markup.key([(name, _COLORS[name]) for name in shown])
 
 
@@ -58,7 +61,7 @@ def card(evidence: Evidence, instance: int) -> str:
     stage1, plan, config = evidence.stage1(instance), evidence.plan, evidence.frame.config
     first, second = stage1.terms[:, stage1.best], evidence.terms[:, instance]
     distance, time, name = closest(evidence, instance)
-    weights = np.sort(stage1.weights)[::-1]
+    weights, asked = np.sort(stage1.weights)[::-1], evidence.safety.safe_clearance
     kind = plan.kinds[instance]
     sentence = f'<div class="aero-verdict" style="font-weight:600">{markup.text(verdict(evidence, instance))}</div>'
     rest = "" if evidence.is_exact else markup.note("Planned again with small differences: another device.")
@@ -71,9 +74,10 @@ def card(evidence: Evidence, instance: int) -> str:
             _plot("S1 of its best sample over the steps", [first.sum(axis=0)], is_log=True),
             _plot("S2 over the steps", [second.sum(axis=0)], is_log=True),
             _plot(
-                f"clearance [m]: least {distance:.2f} at {time:.2f} s, {name}",
+                f"clearance [m]: least {distance:.2f} at {time:.2f} s, {name}; dashed: {asked:.2f} is asked at rest, "
+                f"from {config.costs.distance_max:.2f} on it costs nothing",
                 [np.minimum(evidence.distance[instance], 2.0)],
-                bounds=(evidence.safe_clearance, config.costs.distance_max),
+                bounds=(asked, config.costs.distance_max),
                 low=0.0,
             ),
             markup.heading("effective samples", f"{stage1.effective_samples:.1f} of {len(weights)}"),
