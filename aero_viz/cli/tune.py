@@ -110,7 +110,7 @@ def tune(
     check_flights = 2 * flights if check is None else check
     if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
-    check_output_files(output, overwrite=overwrite)
+    check_output_files(output, overwrite=overwrite, inputs=[world, config_flags.config])
     if not page:
         page_flags.refuse(advice="it is for the page: add --page, or leave it out")
     if page and storage == "memory":
