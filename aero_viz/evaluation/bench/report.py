@@ -117,7 +117,7 @@ def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool)
     if records[0]["passable"] is None:
         return f"{kind}: not examined" if is_file else f"{kind}: {len(records)} worlds, not examined"
     if is_file:
-        return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path'}{suffix}"
+        return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path within the field'}{suffix}"
     seeds = [record["seed"] for record in records]
     closed = [str(record["seed"]) for record in records if not record["passable"]]
     line = (
@@ -255,7 +255,8 @@ def _conditions(run: Run) -> str:
     return _markdown_table(["what", "value"], rows) + (
         "\n\nA flight fails when the centre of the drone comes closer to a surface than its radius, when the drone "
         "makes no progress, or when it leaves the world or exceeds the time limit. In a world with a path, a ball of "
-        "that radius can move from start to goal at about their height. Means are over the flights that arrived, ± one "
+        "that radius can move from start to goal at about their height and within the field, the rectangle around "
+        "start, goal and obstacles; drones may also fly around it. Means are over the flights that arrived, ± one "
         "standard deviation. The time of a plan is the median over the batches (and their range)."
     )
 
