@@ -67,6 +67,11 @@ class RunComparison:
             "p: two-sided sign test over the worlds. In brackets: 95 % interval. Better: p is at most 5 %, by "
             "arrivals, else by flight times."
         )
+        if any(paired.flights > paired.pairs for paired in self.rows.values()):
+            lines.append(
+                "Worlds are flown several times: only A are those in which A arrives more often, and A is faster where "
+                "its mean time over the flights that both arrive is shorter. Intervals of arrivals are over the flights."
+            )
         if self.unpaired:
             lines.append(f"{self.unpaired} flights were left out, because only one of the two runs has them.")
         return "\n".join(lines)
@@ -89,12 +94,15 @@ def compare_runs(folder_a: str | Path, folder_b: str | Path) -> RunComparison:
     if not keys:
         raise UserError(f"{folder_a} and {folder_b} have no flight through the same world.")
     labels = [*dict.fromkeys(row for row, *_ in keys), "all"]
-    rows = {
-        label: PairedComparison.from_flights(
-            *([flights[key] for key in keys if label in (key[0], "all")] for flights in (flights_a, flights_b))
+    files = {row["label"] for row in header_a.get("rows", ()) if row.get("sha256")}
+    rows = {}
+    for label in labels if len(labels) > 2 else labels[:1]:
+        members = [key for key in keys if label in (key[0], "all")]
+        # The file of a row is the same world whatever the seed.
+        worlds = [(row, None if row in files else seed) for row, _, seed in members]
+        rows[label] = PairedComparison.from_flights(
+            [flights_a[key] for key in members], [flights_b[key] for key in members], worlds
         )
-        for label in (labels if len(labels) > 2 else labels[:1])
-    }
     return RunComparison(rows, _differences(header_a, header_b), len(flights_a) + len(flights_b) - 2 * len(keys))
 
 
@@ -117,8 +125,8 @@ def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str
 
 def _cells(paired: PairedComparison) -> list[str]:
     def share(arrived: int) -> str:
-        low, high = wilson_interval(arrived, paired.pairs)
-        return f"{100.0 * arrived / paired.pairs:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+        low, high = wilson_interval(arrived, paired.flights)
+        return f"{100.0 * arrived / paired.flights:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
 
     return [
         str(paired.pairs),

@@ -8,7 +8,7 @@ from PIL import Image
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench import Run
-from aero_viz.evaluation.bench.difficulty_groups import format_groups
+from aero_viz.evaluation.bench.difficulty_groups import DIFFICULTY, format_groups
 from aero_viz.evaluation.bench.report import format_worlds, world_records, write_report
 from aero_viz.evaluation.bench.world_folder import folder_benchmark
 from aero_viz.scenes import scene
@@ -60,6 +60,23 @@ def test_worlds_are_reported_by_difficulty(folder: Path, fly: Callable[..., Run]
     assert [(line[0], line[1], line[6]) for line in thirds] == [("all worlds", *counts) for counts in expected]
     write_report(run, tmp_path / "report")
     assert "## Success over difficulty" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
+
+
+def test_all_flights_through_a_world_are_in_the_same_third(folder: Path):
+    benchmark = folder_benchmark(folder, speed=5.0)
+    labels = [row.label for row in benchmark.rows]
+    flights = [
+        {**dict.fromkeys(DIFFICULTY, float(k)), "row": label, "world_seed": seed, "arrived": k == 0}
+        for k, label in enumerate(labels)
+        for seed in range(2)
+    ]
+    _, *thirds = format_groups(Run(benchmark, {}, flights))
+    assert [(line[2], line[6]) for line in thirds] == [
+        ("0.00 to 1.00", "2/4"),
+        ("2.00 to 3.00", "0/4"),
+        ("4.00 to 6.00", "0/6"),
+    ]
+    assert format_groups(Run(benchmark, {}, flights[:10])) == [], "five worlds"
 
 
 def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..., Run]):
