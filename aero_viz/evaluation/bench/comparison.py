@@ -69,8 +69,9 @@ class RunComparison:
         )
         if any(paired.flights > paired.pairs for paired in self.rows.values()):
             lines.append(
-                "Worlds are flown several times: only A are those in which A arrives more often, and A is faster where "
-                "its mean time over the flights that both arrive is shorter. Intervals of arrivals are over the flights."
+                "Worlds are flown several times: only A are those in which A arrives more often, and A is faster "
+                "where its mean time over the flights that both arrive is shorter. Intervals of arrivals are over "
+                "flights."
             )
         if self.unpaired:
             lines.append(f"{self.unpaired} flights were left out, because only one of the two runs has them.")
