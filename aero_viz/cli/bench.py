@@ -88,7 +88,9 @@ def bench(
     from aero_viz.evaluation.bench.suites import BENCHMARKS
 
     benchmark = BENCHMARKS[name]
-    _run(benchmark, run_flags, flights=flights, external=load_external_results(include, benchmark))
+    first = run_flags.seed + benchmark.first_seed
+    external = load_external_results(include, benchmark, seeds=range(first, first + flights))
+    _run(benchmark, run_flags, flights=flights, external=external)
 
 
 def bench_worlds(

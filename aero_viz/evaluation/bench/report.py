@@ -31,14 +31,14 @@ _STAGES_NOTE = (
 
 
 def summarise_run(run: Run, external: Sequence[ExternalResults] = ()) -> list[Summary]:
-    """Return a summary of each row that has flights, then of the external flights by planner and kind of world."""
+    """Return a summary of each row that has flights, then of the external flights."""
     summaries = []
     for row in run.benchmark.rows:
         flights = [flight for flight in run.flights if flight["row"] == row.label]
         if flights:
             summaries.append(summarise(flights, row=row.label, planner=OURS))
     for results in external:
-        summaries.append(summarise(results.flights, row=results.world_kind, planner=results.planner))
+        summaries.append(summarise(results.flights, row=results.label, planner=results.planner))
     return summaries
 
 

@@ -18,7 +18,7 @@ SMALL = ["--sampling.samples", "8", "--sampling.steps", "10"]
 def test_fly_export_score_and_include(capsys, tmp_path):
     """The whole way of another planner's flight, from the world to the plot."""
     world, csv_file, table = str(tmp_path / "w.json"), str(tmp_path / "f.csv"), str(tmp_path / "ego.csv")
-    assert run(capsys, "world", "export", "wall", world, "--seed", "1")[0] == 0
+    assert run(capsys, "world", "export", "wall", world, "--seed", "0")[0] == 0
     flown = run_json(capsys, "fly", world, "--speed", "4", "--trajectory", csv_file, *SMALL)
     scored = run_json(capsys, "score", csv_file, "--world", world, "--planner", "EGO", "--table", table)
     assert scored["reason"] == flown["reason"] and scored["config"] == "EGO"

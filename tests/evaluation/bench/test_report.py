@@ -91,7 +91,7 @@ def test_external_trajectory_is_scored(tmp_path, benchmark_of_three):
     rows = [f"{t / 50},{t / 10},0,2" for t in range(100)]
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "\n".join(rows), encoding="utf-8")
     (external,) = load_external_results([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
-    assert (external.planner, external.world_kind) == ("IPC", "forest-4")
+    assert (external.planner, external.label) == ("IPC", "forest-4")
     assert external.flights[0]["mean_speed"] == pytest.approx(5.0)
 
 
@@ -128,7 +128,18 @@ def test_flights_of_another_run_can_be_external_results(fly, tmp_path):
     run = fly()
     write_report(run, tmp_path / "out")
     results = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
-    assert {result.world_kind: len(result.flights) for result in results} == {"forest-4": 4, "verticals-5": 2}
+    assert {result.label: len(result.flights) for result in results} == {"slow": 2, "few samples": 2, "fast": 2}
+    others = replace(run.benchmark, rows=tuple(replace(row, label=f"new {row.label}") for row in run.benchmark.rows))
+    results = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], others)
+    assert {result.label: len(result.flights) for result in results} == {"forest-4": 4, "verticals-5": 2}
+
+
+def test_external_flights_in_worlds_that_the_run_does_not_have_are_left_out(table, benchmark_of_three, caplog):
+    (external,) = load_external_results([f"EGO={table}"], benchmark_of_three, seeds=range(101, 103))
+    assert [flight["scene"] for flight in external.flights] == ["forest-4-101"]
+    assert "left out: 1 flights of" in caplog.text
+    with pytest.raises(UserError, match="has no flight in the worlds of this run; fly the same --seed and --flights"):
+        load_external_results([f"EGO={table}"], benchmark_of_three, seeds=range(2))
 
 
 def test_table_keeps_its_columns_when_a_flight_is_appended(tmp_path, benchmark_of_three):
