@@ -120,6 +120,8 @@ def bench_worlds(
     """
     from aero_viz.evaluation.bench.world_folder import folder_benchmark
 
+    if run_flags.output is not None and run_flags.output.resolve() == folder.resolve():
+        raise UserError(f"{folder} is the folder of the worlds, which a report could replace; choose another --output.")
     benchmark = folder_benchmark(folder, speed=speed, start=start, goal=goal, voxel=voxel)
     _run(benchmark, run_flags, flights=flights, external=())
 

@@ -1,9 +1,11 @@
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run_refused
 from PIL import Image
 
 from aero_viz.errors import UserError
@@ -85,6 +87,22 @@ def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..
     (folder / "forest-20.json").write_text(json.dumps({**content, "goal": [40.0, 0.0, 2.0]}), encoding="utf-8")
     with pytest.raises(UserError, match="cannot be resumed"):
         fly("again", folder_benchmark(folder, speed=5.0), flights=1, resume=True)
+
+
+def test_the_plots_of_a_report_are_no_worlds(folder: Path, fly: Callable[..., Run], tmp_path: Path):
+    write_report(fly("report"), tmp_path / "report")
+    assert (tmp_path / "report" / "success.png").is_file()
+    with pytest.raises(UserError, match="report has no worlds"):
+        folder_benchmark(tmp_path / "report", speed=5.0)
+    shutil.copy(folder / "forest-20.json", tmp_path / "report")
+    shutil.copy(folder / "maze.png", folder / "success.png")
+    assert [row.label for row in folder_benchmark(tmp_path / "report", speed=5.0).rows] == ["forest-20.json"]
+    assert "success.png" in folder_benchmark(folder, speed=5.0).worlds
+
+
+def test_a_report_is_not_written_among_the_worlds(folder: Path, capsys: pytest.CaptureFixture[str]):
+    error = run_refused(capsys, "bench", "worlds", str(folder), "--output", str(folder / "."))
+    assert "is the folder of the worlds, which a report could replace; choose another --output" in error
 
 
 def test_a_folder_without_worlds_is_refused(tmp_path: Path):
