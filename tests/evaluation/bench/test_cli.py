@@ -45,7 +45,7 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
         return ["bench", "rooms", *short, "--output", str(folder), "--drone.drag", "0.2", *quick]
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"
-    command = [sys.executable, "-m", "aero_viz", *arguments(cut)]
+    command = [sys.executable, "-m", "aero_viz", *arguments(cut), "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         while not ((cut / "flights.jsonl").exists() and (cut / "flights.jsonl").read_bytes().count(b"\n") >= 2):
@@ -56,15 +56,17 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 130 and text == "", error
-    kept = int(error.split()[0])
+    assert process.returncode == 130, error
+    kept, content = int(error.split()[0]), json.loads(text)
+    assert content["interrupted"] and sum(line["flights"] for line in content["summary"]) == kept
     assert (
         2 <= kept < 16
         and f"{kept} of 16 flights are kept in {cut}; run the same command with --resume" in error
         and error.count("\n") == 1
     )
     assert f"Incomplete: {kept} of 16 flights" in (cut / "report.md").read_text()
-    assert run(capsys, *arguments(cut), "--resume")[0] == run(capsys, *arguments(whole))[0] == 0
+    assert not run_json(capsys, *arguments(cut), "--resume")["interrupted"]
+    assert run(capsys, *arguments(whole))[0] == 0
     assert untimed(cut) == untimed(whole) and len(untimed(whole)) == 16
 
 
