@@ -102,6 +102,7 @@ def tune(
     """
     from aero_planner.config.file import save_config
     from aero_viz.cli.study_page import StudyPage
+    from aero_viz.evaluation.batching import check_count
     from aero_viz.evaluation.executor import open_executor
     from aero_viz.evaluation.tune import FlightOptions, SearchOptions, parse_ranges
     from aero_viz.evaluation.tune import tune as search_parameters
@@ -110,6 +111,8 @@ def tune(
     check_flights = 2 * flights if check is None else check
     if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
+    check_count("--flights", flights)
+    check_count("--check", check_flights)
     check_output_files(output, overwrite=overwrite, inputs=[world, config_flags.config])
     if not page:
         page_flags.refuse(advice="it is for the page: add --page, or leave it out")

@@ -14,7 +14,7 @@ import numpy as np
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, check_count, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
@@ -157,6 +157,7 @@ def tune(
 def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequence[World], batch: int | None) -> None:
     if search.trials < 1 or search.generation < 1:
         raise UserError("--trials and --generation must be at least 1.")
+    check_count("--trials", search.trials)
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
         raise UserError("--flights, --check and --batch must be at least 1.")
     check_seed(search.seed)

@@ -119,6 +119,7 @@ def test_points_of_a_world(capsys, tmp_path):
         (["score", "none.csv", "--world", "wall"], "Cannot read the trajectory none.csv"),
         (["bench", "rooms", "--include", "EGO"], "NAME=TABLE.csv"),
         (["bench", "rooms", "--flights", "0"], "at least 1"),
+        (["bench", "rooms", "--flights", "100001"], "--flights is 100001; it must be at most 100000"),
         (["bench", "rooms", "--output", __file__], "is a file; give --output the name of a folder"),
         (["bench", "rooms", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
         (["bench", "table2", "--lidar.dropout", "2"], "lidar.dropout is 2"),
