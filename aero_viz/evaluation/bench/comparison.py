@@ -116,12 +116,28 @@ def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int]
 
 
 def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the values of A and B that differ and have an effect, by name."""
+    tables = [{row["label"]: row for row in header.get("rows", ())} for header in (header_a, header_b)]
+    rows = [row for table in tables for row in table.values()]
     found = {}
-    for key in ("config", "versions", "device"):
-        values_a, values_b = leaves_by_path(header_a[key], key), leaves_by_path(header_b[key], key)
+    for key in ("config", "versions", "device", "rows"):
+        contents = tables if key == "rows" else (header_a[key], header_b[key])
+        values_a, values_b = (leaves_by_path(content, key) for content in contents)
         names = {**values_a, **values_b}
         found.update({n: (values_a.get(n), values_b.get(n)) for n in names if values_a.get(n) != values_b.get(n)})
-    return {name.removeprefix("config."): values for name, values in found.items()}
+    return {name.removeprefix("config."): values for name, values in found.items() if _has_effect(name, rows)}
+
+
+def _has_effect(name: str, rows: list[dict[str, Any]]) -> bool:
+    """Return False for a parameter that all rows set themselves, as they do the speed limit."""
+    path = name.removeprefix("config.")
+    return (
+        path == name
+        or not rows
+        or any(
+            row.get("preset") is None and path not in ("vehicle.speed_limit", *row.get("changes", ())) for row in rows
+        )
+    )
 
 
 def _cells(paired: PairedComparison) -> list[str]:

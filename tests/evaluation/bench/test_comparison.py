@@ -71,6 +71,22 @@ def test_a_world_that_is_flown_several_times_counts_once(tmp_path: Path):
     assert "Worlds are flown several times" in comparison.format_table()
 
 
+def test_parameters_that_every_row_sets_do_not_differ(tmp_path: Path):
+    def write(name: str, speed: float, use_ground: bool, low: float) -> Path:
+        config = {"vehicle": {"speed_limit": speed}, "costs": {"use_ground": use_ground, "q": low}}
+        labels = ("r", "s")
+        changes = ({"costs.use_ground": True}, {"costs.use_ground": True, "costs.q": 1.0})
+        rows = [
+            {"label": label, "speed": low, "preset": None, "changes": changed}
+            for label, changed in zip(labels, changes, strict=True)
+        ]
+        return write_run(tmp_path / name, [5.0], config=config, rows=rows)
+
+    comparison = compare_runs(write("a", 7.0, True, 2.0), write("b", 50.0, False, 3.0))
+    speeds = {"rows.r.speed": (2.0, 3.0), "rows.s.speed": (2.0, 3.0)}
+    assert comparison.differences == {"costs.q": (2.0, 3.0), **speeds}
+
+
 def test_only_flights_that_both_runs_have_are_compared(tmp_path: Path):
     a, b = write_run(tmp_path / "a", [5.0] * 4), write_run(tmp_path / "b", [5.0] * 6)
     comparison = compare_runs(a, b)
