@@ -59,6 +59,9 @@ def _cells(worlds: Sequence[_Flights]) -> list[str]:
 
 
 def mean_std(values: Sequence[float]) -> str:
-    """Return the mean, ± one standard deviation of several values."""
-    mean = f"{statistics.fmean(values):.3g}"
-    return f"{mean} ± {statistics.stdev(values):.2g}" if len(values) > 1 else mean
+    """Return the mean, ± one standard deviation of several values; a deviation by rounding is 0."""
+    mean = statistics.fmean(values)
+    if len(values) < 2:
+        return f"{mean:.3g}"
+    deviation = statistics.stdev(values)
+    return f"{mean:.3g} ± {deviation if deviation > 1e-9 * abs(mean) else 0.0:.2g}"

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.difficulty_groups import mean_std
 from aero_viz.evaluation.bench.external_results import append_to_table, load_external_results
 from aero_viz.evaluation.bench.report import OURS, format_summaries, write_report
 from aero_viz.flight import FlightResult
@@ -67,6 +68,23 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     for name in ("warp-lang", "cores", "seeds of the worlds | from 100", "samples: 8"):
         assert name in report
     assert "Incomplete" not in report
+
+
+def test_tables_have_one_value_per_cell_and_the_same_columns_without_failures(fly, tmp_path):
+    run = fly()
+    flights = [{**flight, "arrived": True, "batch": i, "batch_size": 1} for i, flight in enumerate(run.flights)]
+    write_report(replace(run, flights=flights), tmp_path / "out")
+    content = {}
+    for name in ("summary", "flights"):
+        with (tmp_path / "out" / f"{name}.csv").open(encoding="utf-8") as file:
+            content[name] = list(csv.DictReader(file))
+    first = content["summary"][0]
+    assert float(first["plan_ms_min"]) <= float(first["plan_ms_median"]) <= float(first["plan_ms_max"])
+    assert list(content["flights"][0])[-2:] == ["cause", "obstacle"] and not any("(" in v for v in first.values())
+
+
+def test_a_deviation_by_rounding_is_none():
+    assert mean_std([0.0871, 0.0871 + 4e-17]) == "0.0871 ± 0" and mean_std([1.0, 2.0]) == "1.5 ± 0.71"
 
 
 def test_report_with_bars_and_without_external_flights(fly, tmp_path, benchmark_of_three):
