@@ -294,9 +294,8 @@ def _write_csv(path: Path, rows: Sequence[dict[str, Any]], *, last: Sequence[str
     """Write a table whose last columns are there also where no row has them."""
     with path.open("w", newline="", encoding="utf-8") as file:
         if rows:
-            writer = csv.DictWriter(
-                file, list(dict.fromkeys([*(key for row in rows for key in row if key not in last), *last]))
-            )
+            columns = [key for row in rows for key in row if key not in last]
+            writer = csv.DictWriter(file, [*dict.fromkeys(columns), *last])
             writer.writeheader()
             writer.writerows(rows)
 
