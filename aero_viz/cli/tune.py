@@ -6,11 +6,12 @@ import contextlib
 import dataclasses
 import sys
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_folder, check_output_files
 from aero_planner.termination import is_terminating
 from aero_viz.cli.flags import (
     ConfigFlags,
@@ -114,6 +115,9 @@ def tune(
     check_count("--flights", flights)
     check_count("--check", check_flights)
     check_output_files(output, overwrite=overwrite, inputs=[world, config_flags.config])
+    database, is_file = storage.removeprefix("sqlite:///").partition("?")[0], storage.startswith("sqlite:///")
+    if is_file and storage != StudyFlags.storage and not database.startswith("file:"):
+        check_folder(Path(database))  # only that of the default is created
     if not page:
         page_flags.refuse(advice="it is for the page: add --page, or leave it out")
     if page and storage == "memory":
