@@ -9,7 +9,7 @@ from aero_viz.scenes import scene
 
 world = scene("forest", seed=3)
 config = PlannerConfig().replace({"costs.q_track": 10.0})
-log = Path("flight.mcap")
+log = Path("fly.mcap")
 
 # Without a recorder nothing is written. The same seed and device give the same flight.
 result = fly(world, config=config, seed=3, recorder=flight_recorder(log))

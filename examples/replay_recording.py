@@ -19,7 +19,7 @@ from aero_viz.session import Session
 
 
 def record_flight() -> Path:
-    path = Path("flight.mcap")
+    path = Path("replay_recording.mcap")
     fly(scene("forest", seed=1), rules=FlightRules(time_limit=1.0), recorder=flight_recorder(path))
     return path
 

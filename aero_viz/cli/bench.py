@@ -88,7 +88,9 @@ def bench(
     from aero_viz.evaluation.bench.suites import BENCHMARKS
 
     benchmark = BENCHMARKS[name]
-    _run(benchmark, run_flags, flights=flights, external=load_external_results(include, benchmark))
+    first = run_flags.seed + benchmark.first_seed
+    external = load_external_results(include, benchmark, seeds=range(first, first + flights))
+    _run(benchmark, run_flags, flights=flights, external=external)
 
 
 def bench_worlds(
@@ -118,6 +120,8 @@ def bench_worlds(
     """
     from aero_viz.evaluation.bench.world_folder import folder_benchmark
 
+    if run_flags.output is not None and run_flags.output.resolve() == folder.resolve():
+        raise UserError(f"{folder} is the folder of the worlds, which a report could replace; choose another --output.")
     benchmark = folder_benchmark(folder, speed=speed, start=start, goal=goal, voxel=voxel)
     _run(benchmark, run_flags, flights=flights, external=())
 
@@ -138,7 +142,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
     from aero_viz.evaluation.executor import open_executor
 
     folder, config = flags.output or Path("results") / benchmark.name, flags.config.load()
-    executor = open_executor(flags.ray, device=flags.device)
+    executor, interrupted = open_executor(flags.ray, device=flags.device), False
     try:
         with progress_bar() as update_bar:
             run = run_benchmark(
@@ -161,20 +165,19 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
                 causes=flags.causes,
                 progress=lambda done, total, label: update_bar(done, total, f"{done}/{total} flights, {label}"),
             )
-        summaries = write_report(run, folder, external=external)
-    except BenchmarkInterrupted as interrupted:
-        run = interrupted.run
-        write_report(run, folder, external=external)
+    except BenchmarkInterrupted as interruption:
+        run, interrupted = interruption.run, True
+    except RuntimeError as error:
+        raise UserError(f"The benchmark cannot run on {flags.device}: {error}") from error
+    finally:
+        executor.close()
+    summaries = write_report(run, folder, external=external)
+    if interrupted:
         print(
             f"{len(run.flights)} of {run.total} flights are kept in {folder}; "
             "run the same command with --resume to continue.",
             file=sys.stderr,
         )
-        raise SystemExit(130) from None
-    except RuntimeError as error:
-        raise UserError(f"The benchmark cannot run on {flags.device}: {error}") from error
-    finally:
-        executor.close()
     if flags.json:
         summary = [line.to_dict() for line in summaries]
         print_json(
@@ -184,15 +187,18 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
                 "summary": summary,
                 "worlds": world_records(run),
                 "causes": cause_rows(run.flights),
+                "interrupted": interrupted,
             }
         )
-    else:
+    elif not interrupted:
         groups = format_groups(run)
         matrix = format_matrix(run)
         success = format_table(matrix[1:], header=matrix[0]) if matrix else ""
         thirds = format_table(groups[1:], header=groups[0]) if groups else ""
         tables = [success, format_summaries(summaries), format_causes(run), *format_worlds(run), thirds]
         print(*filter(None, tables), folder / "report.md", sep="\n")
+    if interrupted:
+        raise SystemExit(130)
 
 
 def bench_compare(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import shlex
 import sys
 from pathlib import Path
 
+from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -66,6 +68,7 @@ def share(
     from aero_viz.dashboard.share.share import check_path
     from aero_viz.flight.known_drone import config_for_flight
 
+    check_output_files(output, overwrite=True, inputs=[source, config_flags.config, *_recorded_files(source, output)])
     check_path(output, overwrite=overwrite)
     config = config_flags.load(speed=speed)
     if is_recording(source):
@@ -88,6 +91,16 @@ def share(
             report=lambda time: update_bar(min(time, duration), duration, f"{time:.1f} s"),
         )
     print(f"{output}: {format_size(output.stat().st_size)}")
+
+
+def _recorded_files(source: str, output: Path) -> list[Path]:
+    """Return the files of a recording that is a folder; empty where there is nothing to write over."""
+    from aero_viz.recordings.storage import open_storage
+
+    if not output.exists() or not Path(source).is_dir():
+        return []
+    with contextlib.closing(open_storage(source)) as storage:
+        return [file.path for file in storage.files]
 
 
 def _command(source: str, output: Path, *, closed_loop: bool) -> str:

@@ -52,7 +52,7 @@ def snapshot(
     from aero_viz.dashboard.snapshot import snapshot as take_snapshot
     from aero_viz.flight.known_drone import config_for_flight
 
-    check_output_files(derived=[output], overwrite=True)
+    check_output_files(derived=[output], overwrite=True, inputs=[source, config_flags.config])
     config = config_flags.load()
     opened = open_source(source, seed=seed, device=device, points_topic=points_topic, pose_topic=pose_topic)
     take_snapshot(

@@ -6,11 +6,12 @@ import contextlib
 import dataclasses
 import sys
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_folder, check_output_files
 from aero_planner.termination import is_terminating
 from aero_viz.cli.flags import (
     ConfigFlags,
@@ -102,6 +103,7 @@ def tune(
     """
     from aero_planner.config.file import save_config
     from aero_viz.cli.study_page import StudyPage
+    from aero_viz.evaluation.batching import check_count
     from aero_viz.evaluation.executor import open_executor
     from aero_viz.evaluation.tune import FlightOptions, SearchOptions, parse_ranges
     from aero_viz.evaluation.tune import tune as search_parameters
@@ -110,7 +112,12 @@ def tune(
     check_flights = 2 * flights if check is None else check
     if flights < 1 or check_flights < 1:
         raise UserError("--flights and --check must be at least 1.")
-    check_output_files(output, overwrite=overwrite)
+    check_count("--flights", flights)
+    check_count("--check", check_flights)
+    check_output_files(output, overwrite=overwrite, inputs=[world, config_flags.config])
+    database, is_file = storage.removeprefix("sqlite:///").partition("?")[0], storage.startswith("sqlite:///")
+    if is_file and storage != StudyFlags.storage and not database.startswith("file:"):
+        check_folder(Path(database))  # only that of the default is created
     if not page:
         page_flags.refuse(advice="it is for the page: add --page, or leave it out")
     if page and storage == "memory":

@@ -16,6 +16,16 @@ Progress = Callable[[int, int, str], None]
 """Called with the number of finished flights, the total number, and a description of the current work."""
 
 
+COUNT_MAX = 100_000
+"""Largest number of flights per row, of worlds and of candidates: all are kept in memory."""
+
+
+def check_count(flag: str, number: int) -> None:
+    """Raise a UserError if a flag asks for more flights or candidates than can be kept in memory."""
+    if number > COUNT_MAX:
+        raise UserError(f"{flag} is {number}; it must be at most {COUNT_MAX}.")
+
+
 @dataclass(frozen=True)
 class FlightOptions:
     """Conditions that all flights of a batch share."""

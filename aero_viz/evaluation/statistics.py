@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, Protocol
 
@@ -99,44 +99,58 @@ def mean_interval(values: Sequence[float]) -> tuple[float, float, float] | None:
 
 @dataclass(frozen=True)
 class PairedComparison:
-    """The comparison of flights A and B through the same worlds."""
+    """The comparison of flights A and B through the same worlds. A world counts once, however often it is flown."""
 
     pairs: int
     """Number of worlds."""
+    flights: int
+    """Number of flights of each of A and B."""
     arrived_a: int
-    """Number of worlds in which A arrives."""
+    """Number of flights of A that arrive."""
     arrived_b: int
-    """Number of worlds in which B arrives."""
+    """Number of flights of B that arrive."""
     only_a: int
-    """Number of worlds in which A arrives and B does not."""
+    """Number of worlds in which more flights of A arrive: with one flight each, those in which only A arrives."""
     only_b: int
-    """Number of worlds in which B arrives and A does not."""
+    """Number of worlds in which more flights of B arrive."""
     faster_a: int
-    """Number of worlds in which both arrive, A earlier."""
+    """Number of worlds in which A is earlier, in the mean over the flights that both arrive."""
     faster_b: int
-    """Number of worlds in which both arrive, B earlier."""
+    """Number of worlds in which B is earlier."""
     slower_by_s: tuple[float, float, float] | None = None
     """Mean of B's flight time less A's over the worlds in which both arrive [s], and its 95 % interval by Student's t;
     None for fewer than two such worlds."""
 
     @classmethod
-    def from_flights(cls, flights_a: Sequence[Flown], flights_b: Sequence[Flown]) -> PairedComparison:
+    def from_flights(
+        cls, flights_a: Sequence[Flown], flights_b: Sequence[Flown], worlds: Sequence[Hashable] | None = None
+    ) -> PairedComparison:
         """Return the comparison of flights through the same worlds in the same order.
+
+        Args:
+            flights_a, flights_b: the flights.
+            worlds: world of each flight; None if each is flown once.
 
         Raises:
             ValueError: the numbers of flights differ.
         """
-        pairs = list(zip(flights_a, flights_b, strict=True))
-        times = [(a.flight_time_s, b.flight_time_s) for a, b in pairs if a.arrived and b.arrived]
+        grouped: dict[Hashable, list[tuple[Flown, Flown]]] = {}
+        for world, *pair in zip(range(len(flights_a)) if worlds is None else worlds, flights_a, flights_b, strict=True):
+            grouped.setdefault(world, []).append((pair[0], pair[1]))
+        arrived = [(sum(a.arrived for a, _ in pairs), sum(b.arrived for _, b in pairs)) for pairs in grouped.values()]
+        both = [[b.flight_time_s - a.flight_time_s for a, b in pairs if a.arrived and b.arrived]
+                for pairs in grouped.values()]  # fmt: skip
+        later = [statistics.fmean(differences) for differences in both if differences]
         return cls(
-            pairs=len(pairs),
-            arrived_a=sum(a.arrived for a, _ in pairs),
-            arrived_b=sum(b.arrived for _, b in pairs),
-            only_a=sum(a.arrived and not b.arrived for a, b in pairs),
-            only_b=sum(b.arrived and not a.arrived for a, b in pairs),
-            faster_a=sum(a < b for a, b in times),
-            faster_b=sum(b < a for a, b in times),
-            slower_by_s=mean_interval([b - a for a, b in times]),
+            pairs=len(grouped),
+            flights=len(flights_a),
+            arrived_a=sum(a for a, _ in arrived),
+            arrived_b=sum(b for _, b in arrived),
+            only_a=sum(a > b for a, b in arrived),
+            only_b=sum(b > a for a, b in arrived),
+            faster_a=sum(difference > 0.0 for difference in later),
+            faster_b=sum(difference < 0.0 for difference in later),
+            slower_by_s=mean_interval(later),
         )
 
     @property

@@ -10,6 +10,7 @@ import numpy as np
 from aero_viz.evaluation.difficulty import describe_world
 from aero_viz.flight.explanation import world_problem
 from aero_viz.scenes import World
+from aero_viz.scenes.clearance_grid import search_box
 from aero_viz.text_table import format_table
 
 _SINGULAR = {"cylinders": "cylinder", "boxes": "box", "spheres": "sphere", "triangles": "triangle"}
@@ -30,8 +31,9 @@ class WorldInfo:
         world = self.world
         counts = {name: len(getattr(world, name)) for name in ("cylinders", "boxes", "spheres", "triangles")}
         places = {name: getattr(world, name).tolist() for name in ("start", "goal", "bounds")}
+        searched = [corner.tolist() for corner in search_box(world.standing())]
         return {"name": world.name, **counts, "ground_height": world.ground_height, **places, "radius": self.radius,
-                "problem": world_problem(world), **self.about}  # fmt: skip
+                "problem": world_problem(world), "searched": searched, **self.about}  # fmt: skip
 
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
@@ -50,6 +52,7 @@ class WorldInfo:
             ["goal", f"{_position(content['goal'])}, {way:.1f} m away"],
             ["airspace", f"{_position(content['bounds'][0])} to {_position(content['bounds'][1])}"],
             [f"path for a radius of {self.radius:g} m", "yes" if about["passable"] else "no"],
+            ["searched", f"{_position(content['searched'][0])} to {_position(content['searched'][1])}"],
         ]
         if content["problem"] is not None:
             rows.append(["no flight can arrive", content["problem"]])

@@ -166,7 +166,7 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
     for name in ("stage2_cost", "goal_cost", "collision_cost"):
         columns[name.replace("stage2_", "")] = np.array([float(getattr(plan, name)[plan.best]) for plan in plans])
     if world is not None:
-        columns["clearance"] = world.distance(np.stack([columns[axis] for axis in "xyz"], axis=1))
+        columns["clearance"] = world.distance(np.stack([columns[axis] for axis in "xyz"], axis=1), time)
     else:
         columns["clearance"] = np.array([float(plan.clearance[plan.best]) for plan in plans])
     limit = config.candidates.safe_clearance

@@ -1,6 +1,7 @@
 """`aero-viz compare`: figures, parameters and conditions of two logs."""
 
 import dataclasses
+import json
 from pathlib import Path
 
 import pytest
@@ -63,6 +64,18 @@ def test_the_figures_are_those_of_the_flight(logs):
     assert columns["speed"][-1] == pytest.approx(float((a.observation.actual_state.velocity**2).sum() ** 0.5), abs=1e-3)
     exact = float(a.source.world.distance(a.observation.actual_state.position[None])[0])
     assert columns["clearance"][-1] == pytest.approx(min(exact, 5.0), abs=1e-4)
+
+
+def test_clearance_is_from_moving_obstacles_where_they_are_at_the_time(tmp_path, capsys):
+    """A pillar on the way of the drone has left it when the drone comes by."""
+    world = {"name": "gate", "start": [0, 0, 2], "goal": [20, 0, 2], "cylinders": [[2, 0, 0, 0, 0, 1, 0.2, 5]]}
+    (tmp_path / "world.json").write_text(json.dumps({**world, "motion": [[0.0, 8.0, 40.0]]}))
+    log = str(tmp_path / "flight.mcap")
+    arguments = [str(tmp_path / "world.json"), "--sampling.samples", "16", "--lidar.points-per-sweep", "1000"]
+    flown = run_json(capsys, "fly", *arguments, "--rules.time-limit", "1.5", "--log", log)
+    figures = run_json(capsys, "compare", log, log)["a"]
+    assert flown["min_clearance"] > 0.5 and figures["length_m"] > 2.0
+    assert figures["min_clearance"] == pytest.approx(flown["min_clearance"], abs=0.02)
 
 
 def test_ticks_without_a_safe_candidate_are_those_of_the_planner(tmp_path, capsys):

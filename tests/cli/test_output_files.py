@@ -1,5 +1,6 @@
 """Files that a command would write over."""
 
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -55,19 +56,33 @@ def test_a_flight_replaces_a_trajectory_and_an_empty_file(
         ("explain", "{input}.mcap", "--picture", "{input}.mcap"),
         ("explain", "{input}.json", "--trajectory", "{input}.json"),
         ("world", "export", "{input}.json", "{input}.json", "--overwrite"),
+        ("share", "{input}.mcap", "{input}.mcap", "--overwrite"),
+        ("share", "{input}.mcap", "{input}.mcap"),
+        ("snapshot", "{input}.png", "{input}.png"),
+        ("tune", "{input}.json", "--over", "costs.q_track", "--output", "{input}.json", "--overwrite"),
+        ("tune", "forest", "--over", "costs.q_track", "--config", "{input}.yaml", "--output", "{link}", "--overwrite"),
     ],
     ids=" ".join,
 )
 def test_an_input_is_never_written_over(capsys: pytest.CaptureFixture[str], tmp_path: Path, arguments: tuple[str, ...]):
     folder = tmp_path / "in"
     folder.mkdir()
-    words = [word.format(input=folder / "old", folder=folder, name="old") for word in arguments]
-    files = {folder / f"old.{ending}" for ending in ("json", "yaml", "mcap")}
+    link = tmp_path / "link.yaml"
+    link.symlink_to(folder / "old.yaml")
+    words = [word.format(input=folder / "old", folder=folder, name="old", link=link) for word in arguments]
+    files = {folder / f"old.{ending}" for ending in ("json", "yaml", "mcap", "png")}
     for path in files:
         path.write_text("old")
     error = run_refused(capsys, *words)
     assert "is read by this command and would be lost; choose another file to write" in error
     assert error.count("\n") == 1 and all(path.read_text() == "old" for path in files)
+
+
+def test_a_file_in_the_folder_of_a_recording_is_never_written_over(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    source = next(iter(shipped_recordings().values()))[0]
+    path = Path(shutil.copy(source, tmp_path))
+    error = run_refused(capsys, "share", str(tmp_path), str(path), "--overwrite")
+    assert "is read by this command and would be lost" in error and path.read_bytes() == source.read_bytes()
 
 
 @pytest.mark.parametrize(

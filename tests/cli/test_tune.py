@@ -63,7 +63,7 @@ def test_each_flight_of_a_scene_has_its_own_world(capsys: pytest.CaptureFixture[
 
 
 def test_the_same_command_continues_a_study(capsys: pytest.CaptureFixture[str], short_poles: str, tmp_path: Path):
-    storage = f"sqlite:///{tmp_path}/studies/tune.db"
+    storage = f"sqlite:///{tmp_path}/tune.db"
     arguments = ["tune", short_poles, "--over", "costs.q-track", *SMALL, *FEW, "--rules.time-limit", "0.1"]
     first, second = (run_json(capsys, *arguments, "--storage", storage, "--trials", trials) for trials in ("3", "5"))
     assert second["study"] == first["study"] and second["candidates"][:4] == first["candidates"]
@@ -115,12 +115,19 @@ def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, 
         (["tune", "forest", "--over", "sampling.steps"], "sampling.steps is structural"),
         (["tune", "forrest", "--over", "costs.q_track"], "forest"),
         (["tune", "forest", "--over", "costs.q_track", "--flights", "-1"], "--flights and --check must be at least 1"),
+        (
+            ["tune", "forest", "--over", "costs.q_track", "--flights", "100001"],
+            "--flights is 100001; it must be",
+        ),
+        (["tune", "forest", "--over", "costs.q_track", "--trials", "100001"], "--trials is 100001; it must be"),
+        (["tune", "forest", "--over", "costs.q_track", "--check", "100001"], "--check is 100001; it must be"),
         (["tune", "forest", "--over", "costs.q_track", "--flights", "1"], "give --rungs 1, or more --flights."),
         (["tune", "forest", "--over", "costs.q_track", "--device", "cuda:77"], "this machine has cpu"),
         (["tune", "forest", "--over", "costs.q_track", "--output", "/absent/a.yaml"], "There is no folder /absent;"),
         (["tune", "forest", "--over", "costs.q_track", "--output", "/"], "/ is a folder"),
         (["tune", "forest", "--over", "costs.q_track", "--lidar.dropout", "2"], "lidar.dropout is 2.0"),
         (["tune", "{world}", "--over", "costs.q_track", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
+        (["tune", "forest", "--over", "costs.q_track", "--storage", "sqlite:////no/a.db"], "There is no folder /no;"),
         (["tune", "{world}", "--over", "costs.q_track", "--storage", "foo"], "give a URL such as sqlite:///results"),
     ],
 )

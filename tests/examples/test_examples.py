@@ -14,9 +14,9 @@ SERVED = "own_layer"
 EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 OUTPUT = {
     "plan_once": r"OK: 17 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
-    "fly": r"forest.*: arrived after .*log: flight\.mcap, ",
+    "fly": r"forest.*: arrived after .*log: fly\.mcap, ",
     "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
-    "replay_recording": r"flight\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
+    "replay_recording": r"replay_recording\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
     "own_source": r"crossing ball: arrived after ",
     SERVED: r"http://127\.0\.0\.1:\d+",
     "own_cost_term": r"weight +0: arrived, .*weight +200: arrived, ",
@@ -26,6 +26,11 @@ OUTPUT = {
 
 def test_each_example_has_an_expected_output():
     assert sorted(EXAMPLES) == sorted(OUTPUT)
+
+
+def test_no_two_examples_write_the_same_file():
+    files = [name for path in EXAMPLES.values() for name in re.findall(r'Path\("(.+?)"\)', path.read_text())]
+    assert len(files) > 1 and sorted(set(files)) == sorted(files)
 
 
 @pytest.mark.parametrize("name", [name for name in EXAMPLES if name != SERVED])

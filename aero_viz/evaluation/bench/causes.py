@@ -35,12 +35,12 @@ def cause_of(world: World, reason: str, **options: Any) -> dict[str, Any]:
     return {"cause": report.cause, "obstacle": report.obstacle}
 
 
-def cause_rows(flights: Iterable[Mapping[str, Any]]) -> list[list[str]]:
+def cause_rows(flights: Iterable[Mapping[str, Any]]) -> list[tuple[str, int, str]]:
     """Return cause, number of flights, and row and seed of up to three of their worlds; the most frequent first."""
     failed = [flight for flight in flights if flight.get("cause")]
     counts = Counter(flight["cause"] for flight in failed)
     rows = []
     for cause, count in counts.most_common():
         examples = [f"{f['row']} {f['world_seed']}" for f in failed if f["cause"] == cause][:3]
-        rows.append([cause, str(count), ", ".join(examples)])
+        rows.append((cause, count, ", ".join(examples)))
     return rows

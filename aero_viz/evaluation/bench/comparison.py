@@ -67,6 +67,12 @@ class RunComparison:
             "p: two-sided sign test over the worlds. In brackets: 95 % interval. Better: p is at most 5 %, by "
             "arrivals, else by flight times."
         )
+        if any(paired.flights > paired.pairs for paired in self.rows.values()):
+            lines.append(
+                "Worlds are flown several times: only A are those in which A arrives more often, and A is faster "
+                "where its mean time over the flights that both arrive is shorter. Intervals of arrivals are over "
+                "flights."
+            )
         if self.unpaired:
             lines.append(f"{self.unpaired} flights were left out, because only one of the two runs has them.")
         return "\n".join(lines)
@@ -89,12 +95,15 @@ def compare_runs(folder_a: str | Path, folder_b: str | Path) -> RunComparison:
     if not keys:
         raise UserError(f"{folder_a} and {folder_b} have no flight through the same world.")
     labels = [*dict.fromkeys(row for row, *_ in keys), "all"]
-    rows = {
-        label: PairedComparison.from_flights(
-            *([flights[key] for key in keys if label in (key[0], "all")] for flights in (flights_a, flights_b))
+    files = {row["label"] for row in header_a.get("rows", ()) if row.get("sha256")}
+    rows = {}
+    for label in labels if len(labels) > 2 else labels[:1]:
+        members = [key for key in keys if label in (key[0], "all")]
+        # The file of a row is the same world whatever the seed.
+        worlds = [(row, None if row in files else seed) for row, _, seed in members]
+        rows[label] = PairedComparison.from_flights(
+            [flights_a[key] for key in members], [flights_b[key] for key in members], worlds
         )
-        for label in (labels if len(labels) > 2 else labels[:1])
-    }
     return RunComparison(rows, _differences(header_a, header_b), len(flights_a) + len(flights_b) - 2 * len(keys))
 
 
@@ -107,18 +116,34 @@ def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int]
 
 
 def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the values of A and B that differ and have an effect, by name."""
+    tables = [{row["label"]: row for row in header.get("rows", ())} for header in (header_a, header_b)]
+    rows = [row for table in tables for row in table.values()]
     found = {}
-    for key in ("config", "versions", "device"):
-        values_a, values_b = leaves_by_path(header_a[key], key), leaves_by_path(header_b[key], key)
+    for key in ("config", "versions", "device", "rows"):
+        contents = tables if key == "rows" else (header_a[key], header_b[key])
+        values_a, values_b = (leaves_by_path(content, key) for content in contents)
         names = {**values_a, **values_b}
         found.update({n: (values_a.get(n), values_b.get(n)) for n in names if values_a.get(n) != values_b.get(n)})
-    return {name.removeprefix("config."): values for name, values in found.items()}
+    return {name.removeprefix("config."): values for name, values in found.items() if _has_effect(name, rows)}
+
+
+def _has_effect(name: str, rows: list[dict[str, Any]]) -> bool:
+    """Return False for a parameter that all rows set themselves, as they do the speed limit."""
+    path = name.removeprefix("config.")
+    return (
+        path == name
+        or not rows
+        or any(
+            row.get("preset") is None and path not in ("vehicle.speed_limit", *row.get("changes", ())) for row in rows
+        )
+    )
 
 
 def _cells(paired: PairedComparison) -> list[str]:
     def share(arrived: int) -> str:
-        low, high = wilson_interval(arrived, paired.pairs)
-        return f"{100.0 * arrived / paired.pairs:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
+        low, high = wilson_interval(arrived, paired.flights)
+        return f"{100.0 * arrived / paired.flights:.0f} % ({100.0 * low:.0f} to {100.0 * high:.0f})"
 
     return [
         str(paired.pairs),

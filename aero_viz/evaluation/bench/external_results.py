@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from aero_viz.flight import FlightResult
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes import World
 
+_logger = logging.getLogger(__name__)
 _COLUMNS = tuple(field.name for field in fields(FlightResult))
 _TEXTS = ("arrived", "reason", "scene", "config", "seed", "explanation")
 _NUMBERS = tuple(name for name in _COLUMNS if name not in _TEXTS)
@@ -26,11 +28,11 @@ _APPEND = "give --table a new file, or a table of scored flights"
 
 @dataclass(frozen=True)
 class ExternalResults:
-    """Flights of one planner in the worlds of one kind."""
+    """Flights of one planner in the worlds of one kind, or of one row of the benchmark."""
 
     planner: str
-    world_kind: str
-    """Name of the worlds without the seed, such as forest-100."""
+    label: str
+    """Label of the row, or for flights that belong to none, the name of the worlds without the seed: forest-100."""
     flights: tuple[Mapping[str, Any], ...]
     """Records with the fields of `FlightResult`."""
 
@@ -55,13 +57,17 @@ def append_to_table(result: FlightResult, path: str | Path) -> None:
         raise UserError(f"Cannot write the table {path}: {error.strerror or error}.") from error
 
 
-def load_external_results(specs: Sequence[str], benchmark: Benchmark) -> list[ExternalResults]:
-    """Return the flights that the specifications name, grouped by planner and kind of world.
+def load_external_results(
+    specs: Sequence[str], benchmark: Benchmark, *, seeds: Container[int] | None = None
+) -> list[ExternalResults]:
+    """Return the flights that the specifications name, grouped by planner and by row or kind of world.
 
     Args:
         specs: each "NAME=TABLE.csv" for a table of `append_to_table` or the flights.csv of a benchmark, or
             "NAME=FLIGHT@WORLD.json" for a trajectory to score.
         benchmark: flights in worlds that none of its rows has are refused.
+        seeds: seeds of the worlds that the benchmark flies; flights in others are left out with a message. None keeps
+            all.
 
     Raises:
         UserError: a specification, file or world does not fit. The text says what to give instead.
@@ -77,10 +83,20 @@ def load_external_results(specs: Sequence[str], benchmark: Benchmark) -> list[Ex
             flights: list[Mapping[str, Any]] = [result.to_dict()]
         else:
             flights = _load_table(Path(file))
+        others = 0
         for flight in flights:
-            world_kind = _find_world_kind(flight["scene"], benchmark, file)
-            grouped.setdefault((name, world_kind), []).append(flight)
-    return [ExternalResults(planner, kind, tuple(flights)) for (planner, kind), flights in grouped.items()]
+            kind = _find_world_kind(flight["scene"], benchmark, file)
+            seed = flight["scene"].removeprefix(kind).rpartition("-")[2]
+            if seeds is not None and seed.isdecimal() and int(seed) not in seeds:
+                others += 1
+                continue
+            is_of_row = any((row.label, row.world_kind) == (flight.get("row"), kind) for row in benchmark.rows)
+            grouped.setdefault((name, flight["row"] if is_of_row else kind), []).append(flight)
+        if others == len(flights):
+            raise UserError(f"{file} has no flight in the worlds of this run; fly the same --seed and --flights.")
+        if others:
+            _logger.warning("left out: %d flights of %s in worlds that this run does not have", others, file)
+    return [ExternalResults(planner, label, tuple(flights)) for (planner, label), flights in grouped.items()]
 
 
 def _find_world_kind(world: str, benchmark: Benchmark, file: str) -> str:
@@ -100,7 +116,7 @@ def _load_table(path: Path) -> list[Mapping[str, Any]]:
     flights = []
     for number, row in rows:
         try:
-            flight: dict[str, Any] = {name: row[name] for name in ("scene", "config")}
+            flight: dict[str, Any] = {name: row[name] for name in ("scene", "config")} | {"row": row.get("row")}
             flight |= {name: float(row[name]) if row[name] else None for name in _NUMBERS}
             flight |= {"arrived": {"True": True, "False": False}[row["arrived"]], "reason": row["reason"] or None}
         except (KeyError, TypeError, ValueError) as error:

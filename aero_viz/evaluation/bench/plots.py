@@ -122,7 +122,7 @@ def _speed_bars(
         speeds = [(summary.planner, summary.mean["mean_speed"])]
         speeds += [(f"{paper.planner}, published", paper.mean_speed) for paper in PUBLISHED
                    if paper.scene == row.published]  # fmt: skip
-        same_worlds = [result for result in external if result.row == row.world_kind]
+        same_worlds = [result for result in external if result.row in (row.label, row.world_kind)]
         speeds += [(result.planner, result.mean["mean_speed"]) for result in same_worlds]
         for planner, speed in speeds:
             bars.setdefault(planner, {})[position] = speed or 0.0

@@ -31,14 +31,14 @@ _STAGES_NOTE = (
 
 
 def summarise_run(run: Run, external: Sequence[ExternalResults] = ()) -> list[Summary]:
-    """Return a summary of each row that has flights, then of the external flights by planner and kind of world."""
+    """Return a summary of each row that has flights, then of the external flights."""
     summaries = []
     for row in run.benchmark.rows:
         flights = [flight for flight in run.flights if flight["row"] == row.label]
         if flights:
             summaries.append(summarise(flights, row=row.label, planner=OURS))
     for results in external:
-        summaries.append(summarise(results.flights, row=results.world_kind, planner=results.planner))
+        summaries.append(summarise(results.flights, row=results.label, planner=results.planner))
     return summaries
 
 
@@ -52,7 +52,7 @@ def write_report(run: Run, folder: str | Path, *, external: Sequence[ExternalRes
     summaries = summarise_run(run, external)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        _write_csv(folder / "flights.csv", run.flights)
+        _write_csv(folder / "flights.csv", run.flights, last=("cause", "obstacle"))
         _write_csv(folder / "worlds.csv", world_records(run))
         _write_csv(folder / "summary.csv", [_flat(summary) for summary in summaries])
         content = {**run.header, "complete": run.is_complete, "summary": [summary.to_dict() for summary in summaries]}
@@ -77,8 +77,12 @@ def format_summaries(summaries: Sequence[Summary]) -> str:
 
 def format_causes(run: Run) -> str:
     """Return the causes of all failures as a table for a terminal; empty without failures."""
-    rows = cause_rows(run.flights)
+    rows = _cause_cells(run)
     return format_table(rows, header=_CAUSES) if rows else ""
+
+
+def _cause_cells(run: Run) -> list[list[str]]:
+    return [[cause, str(count), examples] for cause, count, examples in cause_rows(run.flights)]
 
 
 def world_records(run: Run) -> list[dict[str, Any]]:
@@ -117,7 +121,7 @@ def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool)
     if records[0]["passable"] is None:
         return f"{kind}: not examined" if is_file else f"{kind}: {len(records)} worlds, not examined"
     if is_file:
-        return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path'}{suffix}"
+        return f"{kind}: {'a path exists' if records[0]['passable'] else 'no path within the field'}{suffix}"
     seeds = [record["seed"] for record in records]
     closed = [str(record["seed"]) for record in records if not record["passable"]]
     line = (
@@ -148,7 +152,7 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
             "discretised. Ours is the sum over the ticks of the squared change of the mean acceleration, divided by "
             "the duration of a tick, and it is much larger."
         )
-    if causes := cause_rows(run.flights):
+    if causes := _cause_cells(run):
         parts += ["## Causes of failures", _markdown_table(_CAUSES, causes)]
     targets = _targets_table(benchmark, own)
     if targets:
@@ -255,7 +259,8 @@ def _conditions(run: Run) -> str:
     return _markdown_table(["what", "value"], rows) + (
         "\n\nA flight fails when the centre of the drone comes closer to a surface than its radius, when the drone "
         "makes no progress, or when it leaves the world or exceeds the time limit. In a world with a path, a ball of "
-        "that radius can move from start to goal at about their height. Means are over the flights that arrived, ± one "
+        "that radius can move from start to goal at about their height and within the field, the rectangle around "
+        "start, goal and obstacles; drones may also fly around it. Means are over the flights that arrived, ± one "
         "standard deviation. The time of a plan is the median over the batches (and their range)."
     )
 
@@ -281,13 +286,16 @@ def _flat(summary: Summary) -> dict[str, Any]:
     for kind in ("mean", "std"):
         values |= {f"{name}_{kind}": value for name, value in values.pop(kind).items()}
     values["reasons"] = _reasons(summary)
+    values["plan_ms_min"], values["plan_ms_max"] = values.pop("plan_ms_range") or (None, None)
     return values
 
 
-def _write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+def _write_csv(path: Path, rows: Sequence[dict[str, Any]], *, last: Sequence[str] = ()) -> None:
+    """Write a table whose last columns are there also where no row has them."""
     with path.open("w", newline="", encoding="utf-8") as file:
         if rows:
-            writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
+            columns = [key for row in rows for key in row if key not in last]
+            writer = csv.DictWriter(file, [*dict.fromkeys(columns), *last])
             writer.writeheader()
             writer.writerows(rows)
 

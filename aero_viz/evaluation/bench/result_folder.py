@@ -11,6 +11,8 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 
 _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
+REPORT_FILES = (_HEADER, "summary.json", "success.png", "speed.png", "throughput.png")
+"""Files of a folder of results that have the ending of a world: the header, the summary and the plots."""
 _FIXED_KEYS = (
     "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "config", "rows",
 )  # fmt: skip
@@ -60,6 +62,11 @@ def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, 
         raise UserError(
             f"Cannot write the results to {folder}: {error.strerror or error}. Choose another --output."
         ) from error
+
+
+def holds_results(folder: Path) -> bool:
+    """Return True if a folder holds the flights of a benchmark."""
+    return (folder / _HEADER).is_file() and (folder / _FLIGHTS).is_file()
 
 
 def read_folder(folder: Path) -> tuple[Header | None, Flights]:

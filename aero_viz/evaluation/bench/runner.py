@@ -15,7 +15,7 @@ from typing import Any
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, check_count, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
 from aero_viz.evaluation.bench.result_folder import append_flights, open_folder
 from aero_viz.evaluation.bench.sudden_object import SuddenObjects, check_arrival
@@ -140,6 +140,7 @@ def run_benchmark(
     """
     if flights < 1 or (batch is not None and batch < 1):
         raise UserError("--flights and --batch must be at least 1.")
+    check_count("--flights", flights)
     check_seed(seed)
     size = batch or default_batch(device)
     base, rules, first_seed = config or PlannerConfig(), rules or FlightRules(), seed + benchmark.first_seed

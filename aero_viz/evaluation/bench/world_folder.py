@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.result_folder import REPORT_FILES, holds_results
 from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.scenes.occupancy import IMAGE_SUFFIXES
 
@@ -28,7 +29,7 @@ def folder_benchmark(
     """Return a benchmark with a row per world in a folder: JSON, map, mesh, Gazebo world or occupancy image.
 
     A world in JSON has its own start and goal; other worlds are flown across their longest side. A file that is not a
-    world is left out with a message.
+    world is left out with a message, and the report of a benchmark without.
 
     Args:
         folder: the folder; folders in it are not searched.
@@ -41,7 +42,8 @@ def folder_benchmark(
     """
     folder = Path(folder)
     try:
-        files = sorted(path for path in folder.iterdir() if path.is_file() and _is_world(path))
+        reports = REPORT_FILES if holds_results(folder) else ()
+        files = sorted(p for p in folder.iterdir() if p.is_file() and _is_world(p) and p.name not in reports)
     except OSError as error:
         raise UserError(f"Cannot read the folder {folder}: {error.strerror or error}.") from error
     rows, worlds = [], {}

@@ -19,6 +19,8 @@ _COSTS: dict[Objective, Callable[[FlightResult], float]] = {
 """Cost of a flight that arrives, by objective; smaller is better."""
 OBJECTIVES = tuple(_COSTS)
 UNITS: dict[Objective, str] = {"time": "s", "clearance": "m", "smoothness": "m²/s⁵"}
+NAMES: dict[Objective, str] = {"time": "time", "clearance": "min clearance", "smoothness": "smoothness"}
+"""Name of what an objective takes the mean of: the clearance of a flight is its smallest one, `min_clearance`."""
 _TIE_BREAK = 1e-6
 """Weight of an objective against the arrival of a flight. It decides only between equal numbers of arrivals."""
 

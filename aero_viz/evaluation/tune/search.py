@@ -7,18 +7,29 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.batching import FlightOptions, Progress, default_batch
+from aero_viz.evaluation.batching import FlightOptions, Progress, check_count, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
 from aero_viz.evaluation.machine import versions
 from aero_viz.evaluation.tune.candidate_flights import CandidateFlights
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.search_space import ParameterRange
-from aero_viz.evaluation.tune.study import INCUMBENT, TRIALS, Sampler, dump_flights, open_study, save_flights
+from aero_viz.evaluation.tune.study import (
+    CANDIDATE,
+    INCUMBENT,
+    TRIALS,
+    Sampler,
+    dump_flights,
+    make_sampler,
+    open_study,
+    save_flights,
+)
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials
 from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
@@ -146,6 +157,7 @@ def tune(
 def _check(search: SearchOptions, worlds: Sequence[World], fresh_worlds: Sequence[World], batch: int | None) -> None:
     if search.trials < 1 or search.generation < 1:
         raise UserError("--trials and --generation must be at least 1.")
+    check_count("--trials", search.trials)
     if not worlds or not fresh_worlds or (batch is not None and batch < 1):
         raise UserError("--flights, --check and --batch must be at least 1.")
     check_seed(search.seed)
@@ -214,15 +226,20 @@ class _Search:
             KeyboardInterrupt: Ctrl-C was pressed. Candidates of the generation in flight are marked as failed.
         """
         has_incumbent = INCUMBENT in self._study.user_attrs
-        size, missing = len(self._worlds), self._missing()
-        self._flights.total = max(missing, 0) * size + check_flights + size * (not has_incumbent)
+        size = len(self._worlds)
+        self._abandon(t.number for t in self._study.get_trials(deepcopy=False) if t.state.name == "RUNNING")
+        self._flights.total = len(self._missing()) * size + check_flights + size * (not has_incumbent)
         if not has_incumbent:
             self._fly_incumbent()
-        while (missing := self._missing()) > 0:
-            self._fly_generation(min(missing, self._options.generation))
+        while missing := self._missing():
+            self._fly_generation(missing[: self._options.generation])
 
-    def _missing(self) -> int:
-        return self._options.trials - len(finished_trials(self._study))
+    def _missing(self) -> list[int]:
+        """Return the candidates that are not finished, counted from 0."""
+        finished = finished_trials(self._study)
+        done = {trial.user_attrs.get(CANDIDATE, i) for i, trial in enumerate(finished)}
+        missing = (i for i in range(self._options.trials + len(finished)) if i not in done)
+        return list(islice(missing, max(self._options.trials - len(finished), 0)))
 
     def _fly_incumbent(self) -> None:
         """Fly the incumbent. If it lies within the ranges, the sampler and the pruner learn of it."""
@@ -243,8 +260,10 @@ class _Search:
             )
             self._study.add_trial(trial)
 
-    def _fly_generation(self, count: int) -> None:
-        remaining = dict(self._propose(count))
+    def _fly_generation(self, candidates: Sequence[int]) -> None:
+        import optuna
+
+        remaining = dict(map(self._propose, candidates))
         flights: dict[optuna.Trial, dict[int, FlightResult]] = {trial: {} for trial in remaining}
         ends = [len(self._worlds) * k // self._options.rungs for k in range(self._options.rungs + 1)]
         try:
@@ -259,6 +278,11 @@ class _Search:
                         remaining.pop(trial)
             for trial in remaining:
                 self._study.tell(trial, self._problem.values(list(flights.pop(trial).values())))
+        except optuna.exceptions.UpdateFinishedTrialError as error:
+            raise UserError(
+                f"Another command continues the study {self._study.study_name!r}; run one at a time, or choose another "
+                "--study."
+            ) from error
         except BaseException:
             self._abandon(trial for trial in flights if trial in remaining)
             raise
@@ -274,32 +298,38 @@ class _Search:
         self._study.tell(trial, state=optuna.trial.TrialState.PRUNED)
         return True
 
-    def _abandon(self, trials: Iterator[optuna.Trial]) -> None:
+    def _abandon(self, trials: Iterator[optuna.Trial | int]) -> None:
+        """Mark trials as failed; their candidates are proposed again."""
         import optuna
 
         for trial in trials:
             with suppress(Exception):  # the first error is the one to report
                 self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
 
-    def _propose(self, count: int) -> Iterator[tuple[optuna.Trial, PlannerConfig]]:
-        """Yield trials and their configurations. Values that contradict each other are proposed again."""
+    def _propose(self, candidate: int) -> tuple[optuna.Trial, PlannerConfig]:
+        """Return a trial and its configuration. Values that contradict each other are proposed again.
+
+        The sampler has a seed of its own for each candidate, so that a study that is continued goes on like one that
+        was not interrupted.
+        """
         import optuna
 
-        contradictions = 0
-        while count:
+        options, contradiction = self._options, None
+        for attempt in range(_MAX_CONTRADICTIONS):
+            seed = int(np.random.SeedSequence([options.seed, candidate, attempt]).generate_state(1)[0])
+            self._study.sampler = make_sampler(
+                options.sampler, generation=options.generation, seed=seed, count=len(options.objectives)
+            )
             trial = self._study.ask(dict(self._distributions))
+            trial.set_user_attr(CANDIDATE, candidate)
             try:
-                config = self._problem.config_at(trial.params)
+                return trial, self._problem.config_at(trial.params)
             except ValueError as error:
                 self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
-                contradictions += 1
-                if contradictions == _MAX_CONTRADICTIONS:
-                    raise UserError(
-                        f"Hardly any values in the ranges are consistent: {error} Choose ranges that fit each other."
-                    ) from error
-                continue
-            contradictions, count = 0, count - 1
-            yield trial, config
+                contradiction = error
+        raise UserError(
+            f"Hardly any values in the ranges are consistent: {contradiction} Choose ranges that fit each other."
+        ) from contradiction
 
 
 def _distribution(parameter: ParameterRange) -> optuna.distributions.FloatDistribution:

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 Sampler = Literal["auto", "tpe", "cmaes", "nsga2", "random"]
 DEFINITION, INCUMBENT, TRIALS = "definition", "incumbent", "trials"
 """Attributes of a study: what it searches, the flights of the incumbent, and the number of candidates asked for."""
+CANDIDATE = "candidate"
+"""Attribute of a trial: which candidate of the study it is, counted from 0. A candidate that was not finished is
+proposed again, as another trial."""
 _FLIGHTS = "flights"
 _SMALLEST_POPULATION = 5
 """Smallest population with which CMA-ES works."""
@@ -53,7 +56,7 @@ def open_study(
             with another definition.
     """
     optuna = require_optuna()
-    made_sampler = _make_sampler(sampler, generation=generation, seed=seed, count=len(objectives))
+    made_sampler = make_sampler(sampler, generation=generation, seed=seed, count=len(objectives))
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
@@ -109,7 +112,18 @@ def first_line(error: Exception) -> str:
     return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
-def _make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:
+def make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:
+    """Return a sampler of Optuna.
+
+    Args:
+        name: the algorithm; "auto" is TPE for one objective and NSGA-II for several.
+        generation: number of candidates that are proposed at once.
+        seed: seed of the sampler.
+        count: number of objectives.
+
+    Raises:
+        UserError: the sampler has one objective only.
+    """
     from optuna import samplers
 
     if name == "auto":

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from aero_planner import PlannerConfig
 from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
-from aero_viz.evaluation.tune.objectives import OBJECTIVES, UNITS, Objective, measure
+from aero_viz.evaluation.tune.objectives import NAMES, OBJECTIVES, UNITS, Objective, measure
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
 from aero_viz.text_table import format_table
@@ -150,7 +150,7 @@ class TuningResult:
 
     def format_table(self) -> str:
         """Return a table of the incumbent and the best candidates, followed by the conclusions, as text."""
-        means = ["mean time", *(f"mean {name} [{UNITS[name]}]" for name in self.objectives if name != "time")]
+        means = ["mean time", *(f"mean {NAMES[name]} [{UNITS[name]}]" for name in self.objectives if name != "time")]
         header = ["", "flights", "arrived", "Wilson 95 %", *means, *(parameter.path for parameter in self.ranges)]
         rows = [self._row("incumbent", c.score, c.config) for c in self.candidates[:1]]
         if len(self.objectives) > 1:
@@ -163,9 +163,11 @@ class TuningResult:
         return "\n".join([format_table(rows, header=header), *self._conclusions()])
 
     def _describe(self, candidate: Candidate) -> dict[str, Any]:
-        means = [value if math.isfinite(value) else None for value in candidate.values]
-        about = {"trial": candidate.trial, "values": self.values(candidate.config), "objectives": means}
-        return {**about, "is_complete": candidate.is_complete, **candidate.score.to_dict()}
+        score = candidate.score
+        means = {name: score.flight_time_s if name == "time" else score.others[name][0] for name in self.objectives}
+        costs = [value if math.isfinite(value) else None for value in candidate.values]
+        about = {"trial": candidate.trial, "values": self.values(candidate.config), "objectives": means, "costs": costs}
+        return {**about, "is_complete": candidate.is_complete, **score.to_dict()}
 
     def _row(self, name: str, score: Score, config: PlannerConfig) -> list[str]:
         low, high = wilson_interval(score.arrived, score.flights)

@@ -22,7 +22,7 @@ def test_failures_are_explained_in_records_and_report(tmp_path):
     (flight,) = run.flights
     assert flight["reason"] == "collision" and flight["obstacle"] == "box 7"
     assert flight["cause"].endswith(": outside the field of view")
-    assert cause_rows(run.flights) == [[flight["cause"], "1", "trap 0"]]
+    assert cause_rows(run.flights) == [(flight["cause"], 1, "trap 0")]
     write_report(run, tmp_path)
     text = (tmp_path / "report.md").read_text()
     assert "## Causes of failures" in text and flight["cause"] in text and flight["cause"] in format_causes(run)
@@ -37,4 +37,4 @@ def test_a_failure_that_is_not_repeated_says_so():
 
 def test_causes_are_counted_and_the_most_frequent_comes_first():
     flights = [{"row": "a", "world_seed": seed, "cause": "x" if seed else "y"} for seed in range(5)]
-    assert cause_rows([*flights, {"row": "b", "world_seed": 9}]) == [["x", "4", "a 1, a 2, a 3"], ["y", "1", "a 0"]]
+    assert cause_rows([*flights, {"row": "b", "world_seed": 9}]) == [("x", 4, "a 1, a 2, a 3"), ("y", 1, "a 0")]

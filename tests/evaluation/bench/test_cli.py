@@ -18,7 +18,7 @@ SMALL = ["--sampling.samples", "8", "--sampling.steps", "10"]
 def test_fly_export_score_and_include(capsys, tmp_path):
     """The whole way of another planner's flight, from the world to the plot."""
     world, csv_file, table = str(tmp_path / "w.json"), str(tmp_path / "f.csv"), str(tmp_path / "ego.csv")
-    assert run(capsys, "world", "export", "wall", world, "--seed", "1")[0] == 0
+    assert run(capsys, "world", "export", "wall", world, "--seed", "0")[0] == 0
     flown = run_json(capsys, "fly", world, "--speed", "4", "--trajectory", csv_file, *SMALL)
     scored = run_json(capsys, "score", csv_file, "--world", world, "--planner", "EGO", "--table", table)
     assert scored["reason"] == flown["reason"] and scored["config"] == "EGO"
@@ -45,7 +45,7 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
         return ["bench", "rooms", *short, "--output", str(folder), "--drone.drag", "0.2", *quick]
 
     cut, whole = tmp_path / "cut", tmp_path / "whole"
-    command = [sys.executable, "-m", "aero_viz", *arguments(cut)]
+    command = [sys.executable, "-m", "aero_viz", *arguments(cut), "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
         while not ((cut / "flights.jsonl").exists() and (cut / "flights.jsonl").read_bytes().count(b"\n") >= 2):
@@ -56,15 +56,17 @@ def test_ctrl_c_keeps_flights_and_resume_flies_the_rest(capsys, tmp_path):
     finally:
         process.kill()
         process.wait()
-    assert process.returncode == 130 and text == "", error
-    kept = int(error.split()[0])
+    assert process.returncode == 130, error
+    kept, content = int(error.split()[0]), json.loads(text)
+    assert content["interrupted"] and sum(line["flights"] for line in content["summary"]) == kept
     assert (
         2 <= kept < 16
         and f"{kept} of 16 flights are kept in {cut}; run the same command with --resume" in error
         and error.count("\n") == 1
     )
     assert f"Incomplete: {kept} of 16 flights" in (cut / "report.md").read_text()
-    assert run(capsys, *arguments(cut), "--resume")[0] == run(capsys, *arguments(whole))[0] == 0
+    assert not run_json(capsys, *arguments(cut), "--resume")["interrupted"]
+    assert run(capsys, *arguments(whole))[0] == 0
     assert untimed(cut) == untimed(whole) and len(untimed(whole)) == 16
 
 
@@ -117,6 +119,7 @@ def test_points_of_a_world(capsys, tmp_path):
         (["score", "none.csv", "--world", "wall"], "Cannot read the trajectory none.csv"),
         (["bench", "rooms", "--include", "EGO"], "NAME=TABLE.csv"),
         (["bench", "rooms", "--flights", "0"], "at least 1"),
+        (["bench", "rooms", "--flights", "100001"], "--flights is 100001; it must be at most 100000"),
         (["bench", "rooms", "--output", __file__], "is a file; give --output the name of a folder"),
         (["bench", "rooms", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
         (["bench", "table2", "--lidar.dropout", "2"], "lidar.dropout is 2"),

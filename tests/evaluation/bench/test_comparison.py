@@ -54,6 +54,39 @@ def test_the_sign_test_decides_by_arrivals_and_then_by_time(tmp_path: Path):
     assert compare_runs(a, faster).rows["r"].verdict == "B" and compare_runs(faster, a).rows["r"].verdict == "A"
 
 
+def test_a_world_that_is_flown_several_times_counts_once(tmp_path: Path):
+    """Six flights through two worlds from files."""
+    rows = [{"label": label, "sha256": "0" * 64} for label in ("a.json", "b.json")]
+    times = [5.0, 5.0, 6.0, None, 5.0, 5.0]
+    runs = [write_run(tmp_path / name, values, rows=rows) for name, values in (("a", times), ("b", [None, *times[1:]]))]
+    for folder in runs:
+        lines = [json.loads(line) for line in (folder / "flights.jsonl").read_text().splitlines()]
+        lines = [{**flight, "row": rows[i // 3]["label"], "index": i % 3} for i, flight in enumerate(lines)]
+        (folder / "flights.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    comparison = compare_runs(*runs)
+    paired = comparison.rows["all"]
+    assert (paired.pairs, paired.flights, paired.arrived_a, paired.arrived_b) == (2, 6, 5, 4)
+    assert (paired.only_a, paired.only_b, paired.faster_a, paired.faster_b) == (1, 0, 0, 0)
+    assert paired.slower_by_s is not None and paired.slower_by_s[0] == 0.0
+    assert "Worlds are flown several times" in comparison.format_table()
+
+
+def test_parameters_that_every_row_sets_do_not_differ(tmp_path: Path):
+    def write(name: str, speed: float, use_ground: bool, low: float) -> Path:
+        config = {"vehicle": {"speed_limit": speed}, "costs": {"use_ground": use_ground, "q": low}}
+        labels = ("r", "s")
+        changes = ({"costs.use_ground": True}, {"costs.use_ground": True, "costs.q": 1.0})
+        rows = [
+            {"label": label, "speed": low, "preset": None, "changes": changed}
+            for label, changed in zip(labels, changes, strict=True)
+        ]
+        return write_run(tmp_path / name, [5.0], config=config, rows=rows)
+
+    comparison = compare_runs(write("a", 7.0, True, 2.0), write("b", 50.0, False, 3.0))
+    speeds = {"rows.r.speed": (2.0, 3.0), "rows.s.speed": (2.0, 3.0)}
+    assert comparison.differences == {"costs.q": (2.0, 3.0), **speeds}
+
+
 def test_only_flights_that_both_runs_have_are_compared(tmp_path: Path):
     a, b = write_run(tmp_path / "a", [5.0] * 4), write_run(tmp_path / "b", [5.0] * 6)
     comparison = compare_runs(a, b)

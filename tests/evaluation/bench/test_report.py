@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from aero_viz.errors import UserError
+from aero_viz.evaluation.bench.difficulty_groups import mean_std
 from aero_viz.evaluation.bench.external_results import append_to_table, load_external_results
 from aero_viz.evaluation.bench.report import OURS, format_summaries, write_report
 from aero_viz.flight import FlightResult
@@ -69,6 +70,23 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     assert "Incomplete" not in report
 
 
+def test_tables_have_one_value_per_cell_and_the_same_columns_without_failures(fly, tmp_path):
+    run = fly()
+    flights = [{**flight, "arrived": True, "batch": i, "batch_size": 1} for i, flight in enumerate(run.flights)]
+    write_report(replace(run, flights=flights), tmp_path / "out")
+    content = {}
+    for name in ("summary", "flights"):
+        with (tmp_path / "out" / f"{name}.csv").open(encoding="utf-8") as file:
+            content[name] = list(csv.DictReader(file))
+    first = content["summary"][0]
+    assert float(first["plan_ms_min"]) <= float(first["plan_ms_median"]) <= float(first["plan_ms_max"])
+    assert list(content["flights"][0])[-2:] == ["cause", "obstacle"] and not any("(" in v for v in first.values())
+
+
+def test_a_deviation_by_rounding_is_none():
+    assert mean_std([0.0871, 0.0871 + 4e-17]) == "0.0871 ± 0" and mean_std([1.0, 2.0]) == "1.5 ± 0.71"
+
+
 def test_report_with_bars_and_without_external_flights(fly, tmp_path, benchmark_of_three):
     run = fly(benchmark=replace(benchmark_of_three, x_label=""))
     write_report(replace(run, flights=run.flights[:3]), tmp_path / "out")
@@ -91,7 +109,7 @@ def test_external_trajectory_is_scored(tmp_path, benchmark_of_three):
     rows = [f"{t / 50},{t / 10},0,2" for t in range(100)]
     (tmp_path / "a.csv").write_text("t,x,y,z\n" + "\n".join(rows), encoding="utf-8")
     (external,) = load_external_results([f"IPC={tmp_path / 'a.csv'}@{tmp_path / 'w.json'}"], benchmark_of_three)
-    assert (external.planner, external.world_kind) == ("IPC", "forest-4")
+    assert (external.planner, external.label) == ("IPC", "forest-4")
     assert external.flights[0]["mean_speed"] == pytest.approx(5.0)
 
 
@@ -128,7 +146,18 @@ def test_flights_of_another_run_can_be_external_results(fly, tmp_path):
     run = fly()
     write_report(run, tmp_path / "out")
     results = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], run.benchmark)
-    assert {result.world_kind: len(result.flights) for result in results} == {"forest-4": 4, "verticals-5": 2}
+    assert {result.label: len(result.flights) for result in results} == {"slow": 2, "few samples": 2, "fast": 2}
+    others = replace(run.benchmark, rows=tuple(replace(row, label=f"new {row.label}") for row in run.benchmark.rows))
+    results = load_external_results([f"before={tmp_path / 'out' / 'flights.csv'}"], others)
+    assert {result.label: len(result.flights) for result in results} == {"forest-4": 4, "verticals-5": 2}
+
+
+def test_external_flights_in_worlds_that_the_run_does_not_have_are_left_out(table, benchmark_of_three, caplog):
+    (external,) = load_external_results([f"EGO={table}"], benchmark_of_three, seeds=range(101, 103))
+    assert [flight["scene"] for flight in external.flights] == ["forest-4-101"]
+    assert "left out: 1 flights of" in caplog.text
+    with pytest.raises(UserError, match="has no flight in the worlds of this run; fly the same --seed and --flights"):
+        load_external_results([f"EGO={table}"], benchmark_of_three, seeds=range(2))
 
 
 def test_table_keeps_its_columns_when_a_flight_is_appended(tmp_path, benchmark_of_three):

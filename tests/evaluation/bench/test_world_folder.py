@@ -1,14 +1,16 @@
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run_refused
 from PIL import Image
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench import Run
-from aero_viz.evaluation.bench.difficulty_groups import format_groups
+from aero_viz.evaluation.bench.difficulty_groups import DIFFICULTY, format_groups
 from aero_viz.evaluation.bench.report import format_worlds, world_records, write_report
 from aero_viz.evaluation.bench.world_folder import folder_benchmark
 from aero_viz.scenes import scene
@@ -62,12 +64,45 @@ def test_worlds_are_reported_by_difficulty(folder: Path, fly: Callable[..., Run]
     assert "## Success over difficulty" in (tmp_path / "report" / "report.md").read_text(encoding="utf-8")
 
 
+def test_all_flights_through_a_world_are_in_the_same_third(folder: Path):
+    benchmark = folder_benchmark(folder, speed=5.0)
+    labels = [row.label for row in benchmark.rows]
+    flights = [
+        {**dict.fromkeys(DIFFICULTY, float(k)), "row": label, "world_seed": seed, "arrived": k == 0}
+        for k, label in enumerate(labels)
+        for seed in range(2)
+    ]
+    _, *thirds = format_groups(Run(benchmark, {}, flights))
+    assert [(line[2], line[6]) for line in thirds] == [
+        ("0.00 to 1.00", "2/4"),
+        ("2.00 to 3.00", "0/4"),
+        ("4.00 to 6.00", "0/6"),
+    ]
+    assert format_groups(Run(benchmark, {}, flights[:10])) == [], "five worlds"
+
+
 def test_a_run_is_not_resumed_with_changed_worlds(folder: Path, fly: Callable[..., Run]):
     fly("again", folder_benchmark(folder, speed=5.0), flights=1)
     content = json.loads((folder / "forest-20.json").read_text(encoding="utf-8"))
     (folder / "forest-20.json").write_text(json.dumps({**content, "goal": [40.0, 0.0, 2.0]}), encoding="utf-8")
     with pytest.raises(UserError, match="cannot be resumed"):
         fly("again", folder_benchmark(folder, speed=5.0), flights=1, resume=True)
+
+
+def test_the_plots_of_a_report_are_no_worlds(folder: Path, fly: Callable[..., Run], tmp_path: Path):
+    write_report(fly("report"), tmp_path / "report")
+    assert (tmp_path / "report" / "success.png").is_file()
+    with pytest.raises(UserError, match="report has no worlds"):
+        folder_benchmark(tmp_path / "report", speed=5.0)
+    shutil.copy(folder / "forest-20.json", tmp_path / "report")
+    shutil.copy(folder / "maze.png", folder / "success.png")
+    assert [row.label for row in folder_benchmark(tmp_path / "report", speed=5.0).rows] == ["forest-20.json"]
+    assert "success.png" in folder_benchmark(folder, speed=5.0).worlds
+
+
+def test_a_report_is_not_written_among_the_worlds(folder: Path, capsys: pytest.CaptureFixture[str]):
+    error = run_refused(capsys, "bench", "worlds", str(folder), "--output", str(folder / "."))
+    assert "is the folder of the worlds, which a report could replace; choose another --output" in error
 
 
 def test_a_folder_without_worlds_is_refused(tmp_path: Path):

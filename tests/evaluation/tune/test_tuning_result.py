@@ -88,7 +88,7 @@ def test_table_shows_incumbent_and_best_and_warns():
     ]
     assert "only the best candidate arrives in 1, only the incumbent in 1; where both arrive, the best is" in text
     front = tuning(None, objectives=("time", "clearance")).format_table()
-    assert "mean clearance [m]" in front and "6.50 s ± 0.41  0.00 ± 0.00" in front
+    assert "mean min clearance [m]" in front and "6.50 s ± 0.41  0.00 ± 0.00" in front
     assert "Warning: the difference is not significant" in text
     assert "Warning: the best candidate is significantly worse" in tuning(check([5.0] * 6, [None] * 6)).format_table()
     assert "Warning" not in tuning(check([None] * 6, [5.0] * 6)).format_table()
@@ -98,6 +98,7 @@ def test_table_shows_incumbent_and_best_and_warns():
 
 
 def test_result_is_plain_json():
-    content = tuning(check([None], [5.0])).to_dict()
+    content = tuning(check([None], [5.0]), objectives=("time", "smoothness")).to_dict()
+    assert content["best"]["objectives"] == {"time": 6.5, "smoothness": 1.0} and content["best"]["costs"] == [0.0]
     assert json.loads(json.dumps(content)) == content
     assert content["chosen"] == {"costs.q_track": 7.5} and content["check"]["verdict"] == "noise"
