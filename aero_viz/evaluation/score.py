@@ -168,6 +168,7 @@ def _read_recording(path: Path, pose_topic: str | None) -> Trajectory:
         offered = ", ".join(topic.name for topic in topics) or "none"
         problem = "no topic with poses" if pose_topic is None else f"no poses on {pose_topic}"
         raise UserError(f"{path} has {problem}; topics with poses: {offered}.")
-    times, rows = chosen.poses.times(stamped=True), chosen.poses.rows()
+    samples = max(chosen.poses.values(), key=len)  # of several frames on one topic, the busiest one
+    times, rows = samples.times(stamped=True), samples.rows()
     poses = RecordedPoses((times - times.min()) * 1e-9, rows[:, :3], rows[:, 3:7], rows[:, 7:])
     return Trajectory(path.name, poses.times, poses.positions + poses.offset, poses.velocities)
