@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,24 @@ from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
 _ODOMETRY_TOPICS = ("/odometry", "/tf")
+
+
+@dataclasses.dataclass(frozen=True)
+class Window:
+    """Times of recording of the messages that are written [ns], both ends included."""
+
+    start: int | float
+    """An infinite one is a float."""
+    end: int | float
+
+    @classmethod
+    def after(cls, first: int, start: float, end: float) -> Window:
+        """Return the window between two times [s] after the first message [ns]."""
+        return cls(*(first + round(1e9 * time) if math.isfinite(time) else time for time in (start, end)))
+
+    def holds(self, time: int) -> bool:
+        """Return True for a time in the window."""
+        return self.start <= time <= self.end
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,7 +122,7 @@ def convert(
             names = ", ".join(topic.name for topic in contents.topics)
             raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}.")
         first = contents.first or 0
-        window = (first + start * 1e9, first + end * 1e9)
+        window = Window.after(first, start, end)
         try:
             with whole_file(target) as partial, partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
@@ -150,13 +169,11 @@ class _Output:
         self._own_poses = False
         writer.start(profile="ros2", library="aero-viz")
 
-    def copy(
-        self, bag: BagFile, window: tuple[float, float], topics: Collection[str], progress: Callable[[int], None]
-    ) -> None:
+    def copy(self, bag: BagFile, window: Window, topics: Collection[str], progress: Callable[[int], None]) -> None:
         """Write the messages of a file."""
         for message in bag.scan(()):
             channel = message.channel
-            if (topics and channel.topic not in topics) or not window[0] <= message.time <= window[1]:
+            if (topics and channel.topic not in topics) or not window.holds(message.time):
                 continue
             if channel.topic in self.left_out:
                 continue
@@ -195,7 +212,7 @@ class _Output:
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data
 
-    def write_poses(self, recording: Recording, window: tuple[float, float]) -> None:
+    def write_poses(self, recording: Recording, window: Window) -> None:
         """Write the poses of a recording as /odometry and /tf, and the frame of the clouds as that of the body."""
         poses = recording.poses
         assert poses is not None
@@ -203,7 +220,7 @@ class _Output:
         written = 0
         for i, time in enumerate(poses.times):
             stamp = recording.start + round(1e9 * float(time))
-            if window[0] <= stamp <= window[1]:
+            if window.holds(stamp):
                 state = VehicleState(
                     poses.positions[i] + poses.offset, poses.velocities[i], poses.quaternions[i], time=float(time)
                 )
@@ -211,7 +228,7 @@ class _Output:
                     self._add(message, stamp, DEFINITIONS[message.kind])
                 written += 1
         if written and recording.cloud_frame != BODY:
-            stamp = max(recording.start, round(window[0]))
+            stamp = int(max(recording.start, window.start))
             data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, stamp)
             self._add(Encoded("/tf_static", TF_TYPES[0], data), stamp, DEFINITIONS[TF_TYPES[0]])
 
