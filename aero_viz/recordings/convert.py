@@ -55,6 +55,10 @@ class Window:
         """Return True for a time in the window."""
         return self.start <= time <= self.end
 
+    def nearest(self, time: int) -> int:
+        """Return the time in the window that is nearest to a time."""
+        return int(min(max(time, self.start), self.end))
+
 
 @dataclasses.dataclass(frozen=True)
 class ConvertReport:
@@ -97,8 +101,9 @@ def convert(
     Args:
         source: recording.
         target: MCAP file to write; it appears when it is complete.
-        start, end: only messages between these times after the first message are written [s].
-        topics: only these topics are written; none means all.
+        start, end: only messages between these times after the first message are written [s]. Transforms on /tf_static
+            hold for the whole recording: those before and after are written with the nearest time in between.
+        topics: only these topics and /tf_static are written; none means all.
         decimate: every `decimate`-th point of a cloud is kept.
         recording: the opened recording, if its estimated poses are to be written as /odometry and /tf.
         progress: called with the time reached and the duration [s].
@@ -131,7 +136,7 @@ def convert(
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
-                if not output.counts:
+                if output.is_empty:
                     reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
                     raise UserError(f"Nothing of {source} is left to write: {reasons}.")
         except OSError as error:
@@ -164,6 +169,8 @@ class _Output:
     def __init__(self, writer: Writer, decimate: int) -> None:
         self.counts: dict[str, int] = {}
         self.left_out: dict[str, str] = {}
+        self.is_empty = True
+        """True until a message was written that was asked for, which those on /tf_static are not in every case."""
         self._writer, self._decimate = writer, decimate
         self._channels: dict[tuple[str, str], int] = {}
         self._own_poses = False
@@ -173,7 +180,8 @@ class _Output:
         """Write the messages of a file."""
         for message in bag.scan(()):
             channel = message.channel
-            if (topics and channel.topic not in topics) or not window.holds(message.time):
+            is_chosen = (not topics or channel.topic in topics) and window.holds(message.time)
+            if not is_chosen and not is_static(channel):
                 continue
             if channel.topic in self.left_out:
                 continue
@@ -181,23 +189,27 @@ class _Output:
                 self.left_out[channel.topic] = "other poses take its place"
                 continue
             progress(message.time)
-            self._copy_message(bag, message)
+            if self._copy_message(bag, message, window.nearest(message.time)):
+                self.is_empty &= not is_chosen
 
-    def _copy_message(self, bag: BagFile, message: Message) -> None:
+    def _copy_message(self, bag: BagFile, message: Message, time: int) -> bool:
+        """Write a message with a time of recording [ns], and return whether it was written."""
         channel = message.channel
         kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
         kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind != LASER_SCAN else kind
         definition = _definition(kind) or bag.definitions.get(channel.type)
         if channel.encoding not in ENCODINGS and channel.type not in CLOUD_TYPES:
             self.left_out[channel.topic] = f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1"
-        elif definition is None or (channel.encoding == "ros1" and not _definition(kind)):
+            return False
+        if definition is None or (channel.encoding == "ros1" and not _definition(kind)):
             self.left_out[channel.topic] = f"the type {channel.type} is not known here"
-        else:
-            try:
-                data = self._converted(bag.read(message.position), channel)
-            except ValueError:
-                return  # a damaged message; `inspect` counts them
-            self._add(Encoded(channel.topic, kind, data), message.time, definition)
+            return False
+        try:
+            data = self._converted(bag.read(message.position), channel)
+        except ValueError:
+            return False  # a damaged message; `inspect` counts them
+        self._add(Encoded(channel.topic, kind, data), time, definition)
+        return True
 
     def _converted(self, data: bytes, channel: Channel) -> bytes:
         if channel.type == POINT_CLOUD2 and self._decimate > 1:
@@ -227,6 +239,7 @@ class _Output:
                 for message in pose_messages(state, stamp):
                     self._add(message, stamp, DEFINITIONS[message.kind])
                 written += 1
+                self.is_empty = False
         if written and recording.cloud_frame != BODY:
             stamp = int(max(recording.start, window.start))
             data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, stamp)
@@ -243,6 +256,11 @@ class _Output:
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()
+
+
+def is_static(channel: Channel) -> bool:
+    """Return True for a topic of transforms that hold for the whole recording, whenever they are published."""
+    return channel.type in TF_TYPES and channel.topic.endswith("tf_static")
 
 
 def _definition(kind: str) -> str | None:

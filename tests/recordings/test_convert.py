@@ -119,3 +119,29 @@ def test_the_first_message_is_written_whatever_its_nanoseconds_are(
     source = mcap_of([bags.cloud(0.1 * k + 200e-9, bags.xyz(bags.wall())) for k in range(count)])
     report = run_json(capsys, "convert", str(source), str(tmp_path / "out.mcap"))
     assert report["topics"] == {"/points": count}
+
+
+@pytest.mark.parametrize("arguments", [("--start", "0.3", "--end", "0.6"), ("--topics", "/points", "/odom")])
+def test_every_cut_has_the_mounting_of_the_sensor(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+):
+    mounting = bags.transform(0.0, "base_link", "lidar", (0.2, 0, 0.3), (0, 0, 0, 1), topic="/tf_static")
+    source, target = mcap_of([mounting, *bags.drive(child="base_link")]), tmp_path / "cut.mcap"
+    report = run_json(capsys, "convert", str(source), str(target), *arguments)
+    assert report["topics"]["/tf_static"] == 1
+    with open_recording(source) as before, open_recording(target) as after:
+        shift = round(1e-8 * (after.start - before.start))
+        for k in range(len(after.sweep_times)):
+            np.testing.assert_array_equal(after.sweep(k).points, before.sweep(k + shift).points)
+    with target.open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+    assert min(times) == bags.START + (300_000_000 if arguments[0] == "--start" else 0)
+
+
+def test_the_mounting_alone_is_no_part_of_a_recording(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    mounting = bags.transform(0.0, "base_link", "lidar", (0.2, 0, 0.3), topic="/tf_static")
+    source = mcap_of([mounting, *bags.drive(child="base_link")])
+    error = run_refused(capsys, "convert", str(source), str(tmp_path / "cut.mcap"), "--start", "5")
+    assert "is left to write: the recording lasts 0.9 s" in error
