@@ -17,7 +17,7 @@ from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_m
 from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
-from aero_viz.recordings.bag_file import BagFile, Channel, Message
+from aero_viz.recordings.bag_file import BagFile, Channel, Message, one_line
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.other_clouds import LASER_SCAN
@@ -72,6 +72,8 @@ class ConvertReport:
     left_out: dict[str, str]
     """Reasons why topics are not in the file, by topic."""
     bytes: int
+    notes: list[str]
+    """Defects of the recording and differences of the file, one sentence each."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
@@ -80,7 +82,8 @@ class ConvertReport:
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
         lines = [f"{self.path}: {self.messages} messages on {len(self.topics)} topics, {format_size(self.bytes)}"]
-        return "\n".join([*lines, *(f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items())])
+        lines += [f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items()]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
 def convert(
@@ -137,12 +140,18 @@ def convert(
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
                 if output.is_empty:
-                    reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
+                    reasons = [*output.left_out.values(), *output.damage()]
+                    reasons = "; ".join(reasons) or f"the recording lasts {contents.duration:.1f} s"
                     raise UserError(f"Nothing of {source} is left to write: {reasons}.")
         except OSError as error:
             raise UserError(f"Cannot write {target}: {error.strerror or error}.") from error
         return ConvertReport(
-            str(target), sum(output.counts.values()), output.counts, output.left_out, target.stat().st_size
+            str(target),
+            sum(output.counts.values()),
+            output.counts,
+            output.left_out,
+            target.stat().st_size,
+            output.damage(),
         )
     finally:
         storage.close()
@@ -171,6 +180,8 @@ class _Output:
         self.left_out: dict[str, str] = {}
         self.is_empty = True
         """True until a message was written that was asked for, which those on /tf_static are not in every case."""
+        self._damaged: dict[str, list[str]] = {}
+        """Reasons why messages could not be read, by topic."""
         self._writer, self._decimate = writer, decimate
         self._channels: dict[tuple[str, str], int] = {}
         self._own_poses = False
@@ -206,8 +217,9 @@ class _Output:
             return False
         try:
             data = self._converted(bag.read(message.position), channel)
-        except ValueError:
-            return False  # a damaged message; `inspect` counts them
+        except Exception as error:  # decompressors and SQLite fail in many ways; the other messages are fine
+            self._damaged.setdefault(channel.topic, []).append(one_line(error))
+            return False
         self._add(Encoded(channel.topic, kind, data), time, definition)
         return True
 
@@ -253,6 +265,14 @@ class _Output:
         self._writer.add_message(self._channels[key], time, message.data, time)
         self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
 
+    def damage(self) -> list[str]:
+        """Return a sentence on each topic whose messages could not all be read."""
+        return [
+            f"{len(reasons)} of {len(reasons) + self.counts.get(topic, 0)} messages on {topic} are left out, because "
+            f"they cannot be read; the first: {reasons[0]}"
+            for topic, reasons in self._damaged.items()
+        ]
+
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()
@@ -282,11 +302,13 @@ def _times(rows: NDArray[np.void], stamp: int) -> NDArray[np.uint32] | NDArray[n
 
 def _thinned(cloud: Any, step: int) -> bytes:
     """Return a PointCloud2 with every `step`-th point and all its fields, in one row."""
-    size, row = cloud.point_step, cloud.row_step or cloud.width * cloud.point_step
-    if cloud.height * row > len(cloud.data) or cloud.width * size > row:
-        raise ValueError("the points do not fit into the message")
-    table = np.frombuffer(cloud.data, np.uint8, cloud.height * row).reshape(cloud.height, row)
-    points = table[:, : cloud.width * size].reshape(-1, size)[::step]
+    size, count = cloud.point_step, cloud.height * cloud.width
+    # As in read_point_cloud2: drivers leave row_step unset, or wrong, in clouds of one row.
+    row = cloud.row_step if cloud.height > 1 and cloud.row_step else cloud.width * size
+    if row < cloud.width * size or (count and (cloud.height - 1) * row + cloud.width * size > len(cloud.data)):
+        raise ValueError(f"{count} points of {size} bytes do not fit into {len(cloud.data)} bytes")
+    table = np.ndarray((cloud.height, cloud.width, size), np.uint8, cloud.data, 0, (row, size, 1))
+    points = table.reshape(-1, size)[::step]
     changes = {"height": 1, "width": len(points), "row_step": points.size, "data": points.reshape(-1)}
     return encode_message(dataclasses.replace(cloud, **changes), POINT_CLOUD2)
 

@@ -1,5 +1,6 @@
 """Conversion to MCAP, read back with this project's reader, mcap's and rosbags'."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,11 @@ from rosbags.highlevel import AnyReader
 from aero_viz.recordings import open_recording
 
 Write = Callable[[list[bags.Item]], Path]
+
+
+def changed(item: bags.Item, **fields: object) -> bags.Item:
+    """Return a message with other values of some fields."""
+    return dataclasses.replace(item, build=lambda store, ros1: dataclasses.replace(item.build(store, ros1), **fields))
 
 
 def recorded(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
@@ -145,3 +151,33 @@ def test_the_mounting_alone_is_no_part_of_a_recording(
     source = mcap_of([mounting, *bags.drive(child="base_link")])
     error = run_refused(capsys, "convert", str(source), str(tmp_path / "cut.mcap"), "--start", "5")
     assert "is left to write: the recording lasts 0.9 s" in error
+
+
+def test_clouds_of_one_row_are_thinned_whatever_their_row_step_is(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    items = [changed(bags.cloud(0.1 * k, bags.xyz(bags.wall())), row_step=7) for k in range(3)]
+    source, target = mcap_of(items), tmp_path / "thin.mcap"
+    report = run_json(capsys, "convert", str(source), str(target), "--decimate", "4")
+    assert report["topics"] == {"/points": 3} and report["notes"] == []
+    with open_recording(source) as before, open_recording(target) as after:
+        np.testing.assert_array_equal(after.sweep(2).points, before.sweep(2).points[::4])
+
+
+def test_damaged_files_of_a_folder_are_left_out_and_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    clouds = tmp_path / "clouds"
+    clouds.mkdir()
+    for k in range(4):
+        np.save(clouds / f"{k}.npy", bags.wall(seed=k))
+    (clouds / "2.npy").write_bytes(b"")
+    report = run_json(capsys, "convert", str(clouds), str(tmp_path / "out.mcap"))
+    assert report["topics"] == {"/points": 3}
+    assert any("1 of 4 messages on /points are left out" in note and "2.npy" in note for note in report["notes"])
+
+
+def test_a_recording_of_damaged_messages_leaves_no_file(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    source = mcap_of([changed(bags.cloud(0.0, bags.xyz(bags.wall())), width=1000)])
+    error = run_refused(capsys, "convert", str(source), str(tmp_path / "out.mcap"), "--decimate", "2")
+    assert "1 of 1 messages on /points are left out, because they cannot be read" in error
