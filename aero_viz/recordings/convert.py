@@ -151,7 +151,7 @@ def convert(
             output.counts,
             output.left_out,
             target.stat().st_size,
-            output.damage(),
+            [*(contents if recording is None else recording).problems, *output.damage()],
         )
     finally:
         storage.close()

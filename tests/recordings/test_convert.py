@@ -7,12 +7,12 @@ from pathlib import Path
 import bags
 import numpy as np
 import pytest
-from command_line import run_json, run_refused
+from command_line import run, run_json, run_refused
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from aero_viz.recordings import open_recording
+from aero_viz.recordings import inspect, open_recording
 
 Write = Callable[[list[bags.Item]], Path]
 
@@ -181,3 +181,14 @@ def test_a_recording_of_damaged_messages_leaves_no_file(
     source = mcap_of([changed(bags.cloud(0.0, bags.xyz(bags.wall())), width=1000)])
     error = run_refused(capsys, "convert", str(source), str(tmp_path / "out.mcap"), "--decimate", "2")
     assert "1 of 1 messages on /points are left out, because they cannot be read" in error
+
+
+def test_what_is_missing_in_the_recording_is_said(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source = mcap_of(bags.drive())
+    source.write_bytes(source.read_bytes()[:-5000])
+    target = tmp_path / "out.mcap"
+    code, text, _ = run(capsys, "convert", str(source), str(target))
+    assert code == 0 and "note: a.mcap is truncated" in text
+    assert run_json(capsys, "convert", str(source), str(target), "--overwrite")["notes"] == list(
+        inspect(source).problems
+    )
