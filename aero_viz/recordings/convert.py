@@ -18,6 +18,7 @@ from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import BagFile, Channel, Message, one_line
+from aero_viz.recordings.cloud_files import CloudSequence
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.other_clouds import LASER_SCAN
@@ -36,6 +37,8 @@ from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
 _ODOMETRY_TOPICS = ("/odometry", "/tf")
+_COPIED = (POINT_CLOUD2, LASER_SCAN)
+"""Types of clouds that are written as they are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +154,7 @@ def convert(
             output.counts,
             output.left_out,
             target.stat().st_size,
-            [*(contents if recording is None else recording).problems, *output.damage()],
+            [*(contents if recording is None else recording).problems, *output.damage(), *output.notes],
         )
     finally:
         storage.close()
@@ -178,6 +181,8 @@ class _Output:
     def __init__(self, writer: Writer, decimate: int) -> None:
         self.counts: dict[str, int] = {}
         self.left_out: dict[str, str] = {}
+        self.notes: list[str] = []
+        """Differences of what was written, one sentence each."""
         self.is_empty = True
         """True until a message was written that was asked for, which those on /tf_static are not in every case."""
         self._damaged: dict[str, list[str]] = {}
@@ -220,14 +225,25 @@ class _Output:
         except Exception as error:  # decompressors and SQLite fail in many ways; the other messages are fine
             self._damaged.setdefault(channel.topic, []).append(one_line(error))
             return False
+        if channel.topic not in self.counts:
+            self._note_changes(bag, channel)
         self._add(Encoded(channel.topic, kind, data), time, definition)
         return True
+
+    def _note_changes(self, bag: BagFile, channel: Channel) -> None:
+        """Say once per topic what is not written of its clouds."""
+        if channel.type == LASER_SCAN and self._decimate > 1:
+            self.notes.append(f"scans on {channel.topic} are written whole: --decimate thins clouds only")
+        elif channel.type in CLOUD_TYPES and (channel.type not in _COPIED or isinstance(bag, CloudSequence)):
+            self.notes.append(
+                f"points on {channel.topic} have x, y, z and, if known, a time: intensity and other values are left out"
+            )
 
     def _converted(self, data: bytes, channel: Channel) -> bytes:
         if channel.type == POINT_CLOUD2 and self._decimate > 1:
             cdr = ros1_to_cdr(data, POINT_CLOUD2) if channel.encoding == "ros1" else data
             return _thinned(decode_message(cdr, POINT_CLOUD2, "cdr"), self._decimate)
-        if channel.type in CLOUD_TYPES and channel.type not in (POINT_CLOUD2, LASER_SCAN):
+        if channel.type in CLOUD_TYPES and channel.type not in _COPIED:
             cloud = read_cloud(data, channel.type, channel.encoding)
             rows = cloud.rows.reshape(-1)[:: self._decimate]
             points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)

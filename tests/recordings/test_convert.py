@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bags
+import captures
 import numpy as np
 import pytest
 from command_line import run, run_json, run_refused
@@ -81,7 +82,7 @@ def test_livox_clouds_become_point_clouds_with_their_times(
     source = written([bags.odometry(0.0, (0, 0, 0)), bags.livox(0.0, bags.wall(50), offsets)])
     target = tmp_path / "converted.mcap"
     report = run_json(capsys, "convert", str(source), str(target))
-    assert report["left_out"] == {}
+    assert report["left_out"] == {} and "intensity and other values are left out" in report["notes"][0]
     with open_recording(target) as recording:
         sweep = recording.sweep(0)
     np.testing.assert_allclose(sweep.points, bags.wall(50), atol=1e-6)
@@ -172,6 +173,10 @@ def test_damaged_files_of_a_folder_are_left_out_and_counted(tmp_path: Path, caps
     (clouds / "2.npy").write_bytes(b"")
     report = run_json(capsys, "convert", str(clouds), str(tmp_path / "out.mcap"))
     assert report["topics"] == {"/points": 3}
+    assert (
+        "points on /points have x, y, z and, if known, a time: intensity and other values are left out"
+        in report["notes"]
+    )
     assert any("1 of 4 messages on /points are left out" in note and "2.npy" in note for note in report["notes"])
 
 
@@ -192,3 +197,9 @@ def test_what_is_missing_in_the_recording_is_said(mcap_of: Write, tmp_path: Path
     assert run_json(capsys, "convert", str(source), str(target), "--overwrite")["notes"] == list(
         inspect(source).problems
     )
+
+
+def test_scans_are_written_whole(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source = mcap_of([captures.laser_scan(0.1 * k) for k in range(2)])
+    report = run_json(capsys, "convert", str(source), str(tmp_path / "out.mcap"), "--decimate", "2")
+    assert report["notes"] == ["scans on /scan are written whole: --decimate thins clouds only"]
