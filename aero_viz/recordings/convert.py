@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Collection
 from pathlib import Path
 from typing import Any
@@ -12,8 +11,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner import VehicleState
-from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_messages
+from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
 from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
@@ -21,6 +19,7 @@ from aero_viz.recordings.bag_file import BagFile, Channel, Message, one_line
 from aero_viz.recordings.cloud_files import CloudSequence
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.convert_poses import STATIC_DEFINITION, NewPoses, Window, is_static
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from aero_viz.recordings.recording import Recording
@@ -30,37 +29,13 @@ from aero_viz.recordings.ros_messages import (
     decode_message,
     encode_message,
     message_definition,
-    message_type,
     ros1_to_cdr,
 )
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
-_ODOMETRY_TOPICS = ("/odometry", "/tf")
 _COPIED = (POINT_CLOUD2, LASER_SCAN)
 """Types of clouds that are written as they are."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Window:
-    """Times of recording of the messages that are written [ns], both ends included."""
-
-    start: int | float
-    """An infinite one is a float."""
-    end: int | float
-
-    @classmethod
-    def after(cls, first: int, start: float, end: float) -> Window:
-        """Return the window between two times [s] after the first message [ns]."""
-        return cls(*(first + round(1e9 * time) if math.isfinite(time) else time for time in (start, end)))
-
-    def holds(self, time: int) -> bool:
-        """Return True for a time in the window."""
-        return self.start <= time <= self.end
-
-    def nearest(self, time: int) -> int:
-        """Return the time in the window that is nearest to a time."""
-        return int(min(max(time, self.start), self.end))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +86,8 @@ def convert(
             hold for the whole recording: those before and after are written with the nearest time in between.
         topics: only these topics and /tf_static are written; none means all.
         decimate: every `decimate`-th point of a cloud is kept.
-        recording: the opened recording, if its estimated poses are to be written as /odometry and /tf.
+        recording: the opened recording. If its poses are estimated or from a file, they are written as /odometry and
+            /tf, in place of all recorded ones.
         progress: called with the time reached and the duration [s].
 
     Raises:
@@ -136,9 +112,9 @@ def convert(
         window = Window.after(first, start, end)
         try:
             with whole_file(target) as partial, partial.open("wb") as file:
-                output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
+                output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate, first)
                 if recording is not None and recording.pose_origin in ("file", "odometry"):
-                    output.write_poses(recording, window)
+                    output.write_poses(NewPoses(recording, contents), window)
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
@@ -176,9 +152,10 @@ class _Output:
     Args:
         writer: a new MCAP writer.
         decimate: every `decimate`-th point of a cloud is kept.
+        first: time of recording of the first message [ns].
     """
 
-    def __init__(self, writer: Writer, decimate: int) -> None:
+    def __init__(self, writer: Writer, decimate: int, first: int) -> None:
         self.counts: dict[str, int] = {}
         self.left_out: dict[str, str] = {}
         self.notes: list[str] = []
@@ -187,9 +164,9 @@ class _Output:
         """True until a message was written that was asked for, which those on /tf_static are not in every case."""
         self._damaged: dict[str, list[str]] = {}
         """Reasons why messages could not be read, by topic."""
-        self._writer, self._decimate = writer, decimate
+        self._writer, self._decimate, self._first = writer, decimate, first
         self._channels: dict[tuple[str, str], int] = {}
-        self._own_poses = False
+        self._new_poses: NewPoses | None = None
         writer.start(profile="ros2", library="aero-viz")
 
     def copy(self, bag: BagFile, window: Window, topics: Collection[str], progress: Callable[[int], None]) -> None:
@@ -201,7 +178,7 @@ class _Output:
                 continue
             if channel.topic in self.left_out:
                 continue
-            if self._own_poses and channel.topic in _ODOMETRY_TOPICS:
+            if self._new_poses is not None and self._new_poses.replaces(channel):
                 self.left_out[channel.topic] = "other poses take its place"
                 continue
             progress(message.time)
@@ -222,8 +199,12 @@ class _Output:
             return False
         try:
             data = self._converted(bag.read(message.position), channel)
+            if self._new_poses is not None and is_static(channel):
+                data = self._new_poses.without_mounting(data)
         except Exception as error:  # decompressors and SQLite fail in many ways; the other messages are fine
             self._damaged.setdefault(channel.topic, []).append(one_line(error))
+            return False
+        if data is None:
             return False
         if channel.topic not in self.counts:
             self._note_changes(bag, channel)
@@ -252,26 +233,16 @@ class _Output:
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data
 
-    def write_poses(self, recording: Recording, window: Window) -> None:
-        """Write the poses of a recording as /odometry and /tf, and the frame of the clouds as that of the body."""
-        poses = recording.poses
-        assert poses is not None
-        self._own_poses = True
-        written = 0
-        for i, time in enumerate(poses.times):
-            stamp = recording.start + round(1e9 * float(time))
-            if window.holds(stamp):
-                state = VehicleState(
-                    poses.positions[i] + poses.offset, poses.velocities[i], poses.quaternions[i], time=float(time)
-                )
-                for message in pose_messages(state, stamp):
-                    self._add(message, stamp, DEFINITIONS[message.kind])
-                written += 1
-                self.is_empty = False
-        if written and recording.cloud_frame != BODY:
-            stamp = int(max(recording.start, window.start))
-            data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, stamp)
-            self._add(Encoded("/tf_static", TF_TYPES[0], data), stamp, DEFINITIONS[TF_TYPES[0]])
+    def write_poses(self, poses: NewPoses, window: Window) -> None:
+        """Write poses in place of the recorded ones, which are not copied any more."""
+        self._new_poses = poses
+        for message, time in poses.messages(window):
+            self._add(message, time, DEFINITIONS[message.kind])
+            self.is_empty = False
+        if self.is_empty:
+            self.notes.append("the poses do not reach the chosen part of the recording: none is written")
+        for message in poses.mounting_messages():
+            self._add(message, window.nearest(self._first), STATIC_DEFINITION)
 
     def _add(self, message: Encoded, time: int, definition: str) -> None:
         key = (message.topic, message.kind)
@@ -292,11 +263,6 @@ class _Output:
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()
-
-
-def is_static(channel: Channel) -> bool:
-    """Return True for a topic of transforms that hold for the whole recording, whenever they are published."""
-    return channel.type in TF_TYPES and channel.topic.endswith("tf_static")
 
 
 def _definition(kind: str) -> str | None:
@@ -327,19 +293,3 @@ def _thinned(cloud: Any, step: int) -> bytes:
     points = table.reshape(-1, size)[::step]
     changes = {"height": 1, "width": len(points), "row_step": points.size, "data": points.reshape(-1)}
     return encode_message(dataclasses.replace(cloud, **changes), POINT_CLOUD2)
-
-
-def _static_transform(parent: str, child: str, pose: Any, stamp: int) -> bytes:
-    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
-    x, y, z = map(float, pose.position)
-    w, i, j, k = map(float, pose.quaternion)
-    transform = message_type("geometry_msgs/msg/Transform")(
-        translation=message_type("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
-        rotation=message_type("geometry_msgs/msg/Quaternion")(x=i, y=j, z=k, w=w),
-    )
-    stamped = message_type("geometry_msgs/msg/TransformStamped")(
-        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=parent),
-        child_frame_id=child,
-        transform=transform,
-    )
-    return encode_message(message_type(TF_TYPES[0])(transforms=[stamped]), TF_TYPES[0])
