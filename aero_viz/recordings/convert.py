@@ -86,8 +86,8 @@ def convert(
             hold for the whole recording: those before and after are written with the nearest time in between.
         topics: only these topics and /tf_static are written; none means all.
         decimate: every `decimate`-th point of a cloud is kept.
-        recording: the opened recording. If its poses are estimated or from a file, they are written as /odometry and
-            /tf, in place of all recorded ones.
+        recording: the opened recording; None opens it. If its poses are estimated or from a file, which may lie next
+            to the clouds, they are written as /odometry and /tf, in place of all recorded ones.
         progress: called with the time reached and the duration [s].
 
     Raises:
@@ -103,6 +103,8 @@ def convert(
     try:
         with readable(storage.path):
             contents = read_contents(storage)
+            if recording is None and storage.pose_file is not None:
+                recording = Recording(storage, contents, None, None)
         refuse_source(target, storage)
         unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
         if unknown:

@@ -123,3 +123,15 @@ def test_poses_that_do_not_reach_the_part_are_a_note(
     report = run_json(capsys, "convert", str(source), str(target), *arguments)
     assert "the poses do not reach the chosen part of the recording: none is written" in report["notes"]
     assert "/odometry" not in report["topics"] and report["topics"]["/points"] == 20
+
+
+def test_poses_next_to_the_clouds_are_written(tmp_path: Path, poses: Path, capsys: pytest.CaptureFixture[str]):
+    clouds, target = tmp_path / "clouds", tmp_path / "out.mcap"
+    clouds.mkdir()
+    for k in range(4):
+        np.save(clouds / f"{bags.START + k * 10**8}.npy", bags.wall(seed=k))
+    poses.rename(clouds / "groundtruth.txt")
+    report = run_json(capsys, "convert", str(clouds), str(target))
+    assert "poses are those of groundtruth.txt (TUM)" in report["notes"]
+    with open_recording(clouds) as before, open_recording(target) as after:
+        assert_same_playback(before, after)
