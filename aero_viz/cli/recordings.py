@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -12,6 +12,9 @@ from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import FileName, Inline, RecordingFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
+
+if TYPE_CHECKING:
+    from aero_viz.recordings import Recording
 
 _RECORDING = RecordingFlags()
 
@@ -60,7 +63,8 @@ def convert(
         decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd prints how to convert it.
         overwrite: Replace an existing file.
-        recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
+        recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf,
+            in place of the recorded ones.
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
@@ -98,7 +102,36 @@ def convert(
 
         if recording_flags == _RECORDING:
             return write()
+        if recording_flags.pose_topic is not None:
+            raise UserError(
+                "--pose-topic has no effect: all topics of poses are written; name those to write with --topics."
+            )
+        if recording_flags.poses is not None and recording_flags.odometry != "none":
+            raise UserError("--odometry has no effect with --poses, which gives the poses to write: leave one out.")
         options = recording_flags.options()
         options["progress"] = lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps")
         with open_recording(file, **options) as recording:
+            _refuse_unused(recording_flags, recording, output)
             write(recording=recording)
+
+
+def _refuse_unused(flags: RecordingFlags, recording: Recording, output: Path) -> None:
+    """Raise UserError for a flag that would change nothing in the converted file."""
+    from aero_viz.recordings.convert import has_new_poses
+
+    if flags.mask is not None and recording.pose_origin != "odometry":
+        raise UserError(
+            "--mask has no effect: clouds are written whole, and only --odometry needs it to estimate the motion. "
+            f"Leave it out, and play {output} with it."
+        )
+    if has_new_poses(recording):
+        return
+    if flags.extrinsic is not None:
+        raise UserError(
+            "--extrinsic has no effect: the mounting is written only with the poses of --poses or --odometry. Leave it "
+            f"out, and play {output} with it."
+        )
+    if flags.points_topic is not None:
+        raise UserError(
+            "--points-topic has no effect: all topics of clouds are written; name those to write with --topics."
+        )

@@ -115,8 +115,12 @@ def convert(
         try:
             with whole_file(target) as partial, partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate, first)
-                if recording is not None and recording.pose_origin in ("file", "odometry"):
+                if recording is not None and has_new_poses(recording):
                     output.write_poses(NewPoses(recording, contents), window)
+                elif recording is not None and recording.poses is not None:
+                    output.notes.append(f"poses are recorded on {recording.pose_topic}: no others are written")
+                if recording is not None and recording.changes[-1]:
+                    output.notes.append("the points in the mask are written: play the file with the same --mask")
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
@@ -136,6 +140,11 @@ def convert(
         )
     finally:
         storage.close()
+
+
+def has_new_poses(recording: Recording) -> bool:
+    """Return True for a recording that plays with other poses than recorded ones, which `convert` writes."""
+    return recording.pose_origin in ("file", "odometry")
 
 
 def refuse_source(target: Path, storage: Storage) -> None:

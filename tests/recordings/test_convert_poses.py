@@ -9,6 +9,7 @@ import pytest
 from command_line import run_json, run_refused
 
 from aero_viz.recordings import Recording, open_recording
+from aero_viz.recordings.convert import convert
 
 Write = Callable[[list[bags.Item]], Path]
 TURNED = (0.5**0.5, 0.0, 0.0, 0.5**0.5)
@@ -135,3 +136,41 @@ def test_poses_next_to_the_clouds_are_written(tmp_path: Path, poses: Path, capsy
     assert "poses are those of groundtruth.txt (TUM)" in report["notes"]
     with open_recording(clouds) as before, open_recording(target) as after:
         assert_same_playback(before, after)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--mask", "-1", "-1", "-1", "1", "1", "1"), "--mask has no effect: clouds are written whole"),
+        (("--mask", "-1", "-1", "-1", "1", "1", "1", "--poses", "{poses}"), "--mask has no effect"),
+        (("--extrinsic", "0", "0", "1", "0", "0", "0"), "--extrinsic has no effect"),
+        (("--extrinsic", "0", "0", "1", "0", "0", "0", "--odometry", "auto"), "--extrinsic has no effect"),
+        (("--points-topic", "/points"), "name those to write with --topics"),
+        (("--pose-topic", "/odom"), "name those to write with --topics"),
+        (("--poses", "{poses}", "--odometry", "auto"), "--odometry has no effect with --poses"),
+    ],
+)
+def test_flags_without_effect_are_refused(
+    mcap_of: Write,
+    tmp_path: Path,
+    poses: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    message: str,
+):
+    source, target = mcap_of(bags.drive()), tmp_path / "out.mcap"
+    given = [argument.format(poses=poses) for argument in arguments]
+    assert message in run_refused(capsys, "convert", str(source), str(target), *given)
+    assert not target.exists()
+
+
+def test_odometry_that_is_not_needed_is_a_note(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    report = run_json(capsys, "convert", str(mcap_of(bags.drive())), str(tmp_path / "out.mcap"), "--odometry", "auto")
+    assert report["notes"] == ["poses are recorded on /odom: no others are written"]
+
+
+def test_the_mask_of_an_estimate_is_not_applied_and_a_note_says_so(mcap_of: Write, tmp_path: Path, poses: Path):
+    source = mcap_of(bags.drive())
+    with open_recording(source, poses=poses, mask=[-9, -9, -9, 9, 9, 9]) as recording:
+        report = convert(source, tmp_path / "out.mcap", recording=recording)
+    assert "the points in the mask are written: play the file with the same --mask" in report.notes
