@@ -59,7 +59,7 @@ def convert(
         output: MCAP file to write.
         start: Leave out messages before this time, counted from the first message [s].
         end: Leave out messages after this time, counted from the first message [s].
-        topics: Write these topics only.
+        topics: Write these topics and /tf_static only.
         decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd prints how to convert it.
         overwrite: Replace an existing file.
