@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,7 +14,7 @@ from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.recording import Recording
+    from aero_viz.recordings import Recording
 
 _RECORDING = RecordingFlags()
 
@@ -63,11 +62,12 @@ def convert(
         output: MCAP file to write.
         start: Leave out messages before this time, counted from the first message [s].
         end: Leave out messages after this time, counted from the first message [s].
-        topics: Write these topics only.
+        topics: Write these topics and /tf_static only.
         decimate: Keep every n-th point of each cloud.
         to: Format to write. Rerun opens MCAP itself; rrd prints how to convert it.
         overwrite: Replace an existing file.
-        recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf.
+        recording_flags: The recording. Poses that are estimated or read from a file are written as /odometry and /tf,
+            in place of the recorded ones.
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
@@ -87,7 +87,6 @@ def convert(
         with contextlib.closing(open_storage(file)) as storage:
             refuse_source(output, storage)
     check_output_files(output, overwrite=overwrite)
-    _refuse_playback_flags(recording_flags)
     window = {"start": start, "end": end, "topics": topics, "decimate": decimate}
     with progress_bar(file, enabled=not json) as update_bar:
 
@@ -105,33 +104,37 @@ def convert(
             print_report(report, as_json=json)
 
         if recording_flags == _RECORDING:
-            with _poses_of_folder(file) as recording:
-                return write(recording=recording)
+            return write()
+        if recording_flags.pose_topic is not None:
+            raise UserError(
+                "--pose-topic has no effect: all topics of poses are written; name those to write with --topics."
+            )
+        if recording_flags.poses is not None and recording_flags.odometry != "none":
+            raise UserError("--odometry has no effect with --poses, which gives the poses to write: leave one out.")
         options = recording_flags.options()
         options["progress"] = lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps")
         with open_recording(file, **options) as recording:
+            _refuse_unused(recording_flags, recording, output)
             write(recording=recording)
 
 
-def _refuse_playback_flags(flags: RecordingFlags) -> None:
-    """Refuse flags that would change nothing in the file."""
-    if flags.mask is not None:
-        raise UserError("--mask applies when a recording is played; leave it out here, and give it to `aero-viz play`.")
-    if flags.extrinsic is not None and flags.poses is None and flags.odometry == "none":
+def _refuse_unused(flags: RecordingFlags, recording: Recording, output: Path) -> None:
+    """Raise UserError for a flag that would change nothing in the converted file."""
+    from aero_viz.recordings.convert import has_new_poses
+
+    if flags.mask is not None and recording.pose_origin != "odometry":
         raise UserError(
-            "--extrinsic is written with the poses of --poses or --odometry only; leave it out here, and give it to "
-            "`aero-viz play`, or publish the mounting on /tf_static."
+            "--mask has no effect: clouds are written whole, and only --odometry needs it to estimate the motion. "
+            f"Leave it out, and play {output} with it."
         )
-
-
-@contextlib.contextmanager
-def _poses_of_folder(file: FileName) -> Iterator[Recording | None]:
-    """Open a folder that can be played, whose poses may be in a file of their own; None for all others."""
-    from aero_viz.recordings import open_recording
-
-    with contextlib.ExitStack() as stack:
-        recording = None
-        if Path(file).is_dir():
-            with contextlib.suppress(UserError):  # what cannot be played is copied as it is
-                recording = stack.enter_context(open_recording(file))
-        yield recording
+    if has_new_poses(recording):
+        return
+    if flags.extrinsic is not None:
+        raise UserError(
+            "--extrinsic has no effect: the mounting is written only with the poses of --poses or --odometry. Leave it "
+            f"out, and play {output} with it."
+        )
+    if flags.points_topic is not None:
+        raise UserError(
+            "--points-topic has no effect: all topics of clouds are written; name those to write with --topics."
+        )

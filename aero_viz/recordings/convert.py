@@ -11,17 +11,17 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner import VehicleState
-from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, Encoded, pose_messages
+from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
 from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
-from aero_viz.recordings.bag_file import BagFile, Channel, Message
+from aero_viz.recordings.bag_file import BagFile, Channel, Message, one_line
+from aero_viz.recordings.cloud_files import CloudSequence
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
-from aero_viz.recordings.contents import Contents, read_contents
+from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.convert_poses import STATIC_DEFINITION, NewPoses, Window, is_static
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
-from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import (
     ENCODINGS,
@@ -29,15 +29,13 @@ from aero_viz.recordings.ros_messages import (
     decode_message,
     encode_message,
     message_definition,
-    message_type,
     ros1_to_cdr,
 )
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
-_STATIC_TOPIC = "/tf_static"
-_SAME_CLOCK = 10.0
-"""Stamps and times of recording that differ by less are of one clock [s]."""
+_COPIED = (POINT_CLOUD2, LASER_SCAN)
+"""Types of clouds that are written as they are."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,6 +50,8 @@ class ConvertReport:
     left_out: dict[str, str]
     """Reasons why topics are not in the file, by topic."""
     bytes: int
+    notes: list[str]
+    """Defects of the recording and differences of the file, one sentence each."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the report as plain values for JSON."""
@@ -60,7 +60,8 @@ class ConvertReport:
     def format_table(self) -> str:
         """Return the report as text for a terminal."""
         lines = [f"{self.path}: {self.messages} messages on {len(self.topics)} topics, {format_size(self.bytes)}"]
-        return "\n".join([*lines, *(f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items())])
+        lines += [f"note: {topic} is left out: {reason}" for topic, reason in self.left_out.items()]
+        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
 
 def convert(
@@ -76,16 +77,17 @@ def convert(
 ) -> ConvertReport:
     """Write the messages of a recording with their stamps and times of recording. An existing file is replaced.
 
-    Messages of ROS 1 become those of ROS 2, and Livox's own clouds PointCloud2. Static transforms are written whatever
-    the times and topics, since the mounting of the sensor holds for every part.
+    Messages of ROS 1 become those of ROS 2, and Livox's own clouds PointCloud2.
 
     Args:
         source: recording.
         target: MCAP file to write; it appears when it is complete.
-        start, end: only messages between these times after the first message are written [s].
-        topics: only these topics are written; none means all.
+        start, end: only messages between these times after the first message are written [s]. Transforms on /tf_static
+            hold for the whole recording: those before and after are written with the nearest time in between.
+        topics: only these topics and /tf_static are written; none means all.
         decimate: every `decimate`-th point of a cloud is kept.
-        recording: the opened recording, if its estimated poses are to be written as /odometry and /tf.
+        recording: the opened recording; None opens it. If its poses are estimated or from a file, which may lie next
+            to the clouds, they are written as /odometry and /tf, in place of all recorded ones.
         progress: called with the time reached and the duration [s].
 
     Raises:
@@ -101,31 +103,48 @@ def convert(
     try:
         with readable(storage.path):
             contents = read_contents(storage)
+            if recording is None and storage.pose_file is not None:
+                recording = Recording(storage, contents, None, None)
         refuse_source(target, storage)
         unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
         if unknown:
             names = ", ".join(topic.name for topic in contents.topics)
             raise UserError(f"{source} has no topic {', '.join(unknown)}; it has {names}.")
         first = contents.first or 0
-        window = first + _nanoseconds(start), first + _nanoseconds(end)
+        window = Window.after(first, start, end)
         try:
             with whole_file(target) as partial, partial.open("wb") as file:
-                output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate)
-                if recording is not None and recording.pose_origin in ("file", "odometry"):
-                    output.write_poses(recording, window, lag=_recording_lag(contents, recording.points_topic))
+                output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate, first)
+                if recording is not None and has_new_poses(recording):
+                    output.write_poses(NewPoses(recording, contents), window)
+                elif recording is not None and recording.poses is not None:
+                    output.notes.append(f"poses are recorded on {recording.pose_topic}: no others are written")
+                if recording is not None and recording.changes[-1]:
+                    output.notes.append("the points in the mask are written: play the file with the same --mask")
                 for bag in storage.files:
                     output.copy(bag, window, topics, lambda time: progress((time - first) * 1e-9, contents.duration))
                 output.finish()
-                if not output.counts:
-                    reasons = "; ".join(output.left_out.values()) or f"the recording lasts {contents.duration:.1f} s"
+                if output.is_empty:
+                    reasons = [*output.left_out.values(), *output.damage()]
+                    reasons = "; ".join(reasons) or f"the recording lasts {contents.duration:.1f} s"
                     raise UserError(f"Nothing of {source} is left to write: {reasons}.")
         except OSError as error:
             raise UserError(f"Cannot write {target}: {error.strerror or error}.") from error
         return ConvertReport(
-            str(target), sum(output.counts.values()), output.counts, output.left_out, target.stat().st_size
+            str(target),
+            sum(output.counts.values()),
+            output.counts,
+            output.left_out,
+            target.stat().st_size,
+            [*(contents if recording is None else recording).problems, *output.damage(), *output.notes],
         )
     finally:
         storage.close()
+
+
+def has_new_poses(recording: Recording) -> bool:
+    """Return True for a recording that plays with other poses than recorded ones, which `convert` writes."""
+    return recording.pose_origin in ("file", "odometry")
 
 
 def refuse_source(target: Path, storage: Storage) -> None:
@@ -144,55 +163,79 @@ class _Output:
     Args:
         writer: a new MCAP writer.
         decimate: every `decimate`-th point of a cloud is kept.
+        first: time of recording of the first message [ns].
     """
 
-    def __init__(self, writer: Writer, decimate: int) -> None:
+    def __init__(self, writer: Writer, decimate: int, first: int) -> None:
         self.counts: dict[str, int] = {}
         self.left_out: dict[str, str] = {}
-        self._writer, self._decimate = writer, decimate
+        self.notes: list[str] = []
+        """Differences of what was written, one sentence each."""
+        self.is_empty = True
+        """True until a message was written that was asked for, which those on /tf_static are not in every case."""
+        self._damaged: dict[str, list[str]] = {}
+        """Reasons why messages could not be read, by topic."""
+        self._writer, self._decimate, self._first = writer, decimate, first
         self._channels: dict[tuple[str, str], int] = {}
-        self._own_poses = False
+        self._new_poses: NewPoses | None = None
         writer.start(profile="ros2", library="aero-viz")
 
-    def copy(
-        self, bag: BagFile, window: tuple[int, int], topics: Collection[str], progress: Callable[[int], None]
-    ) -> None:
-        """Write the messages of a file. Static transforms from before the window are written at its start."""
+    def copy(self, bag: BagFile, window: Window, topics: Collection[str], progress: Callable[[int], None]) -> None:
+        """Write the messages of a file."""
         for message in bag.scan(()):
-            channel, time = message.channel, message.time
-            if channel.topic == _STATIC_TOPIC:
-                time = max(time, window[0])
-            elif topics and channel.topic not in topics:
+            channel = message.channel
+            is_chosen = (not topics or channel.topic in topics) and window.holds(message.time)
+            if not is_chosen and not is_static(channel):
                 continue
-            if channel.topic in self.left_out or not window[0] <= time <= window[1]:
+            if channel.topic in self.left_out:
                 continue
-            if self._own_poses and channel.type in (*POSE_TYPES, *TF_TYPES):
+            if self._new_poses is not None and self._new_poses.replaces(channel):
                 self.left_out[channel.topic] = "other poses take its place"
                 continue
-            progress(time)
-            self._copy_message(bag, message, time)
+            progress(message.time)
+            if self._copy_message(bag, message, window.nearest(message.time)):
+                self.is_empty &= not is_chosen
 
-    def _copy_message(self, bag: BagFile, message: Message, time: int) -> None:
+    def _copy_message(self, bag: BagFile, message: Message, time: int) -> bool:
+        """Write a message with a time of recording [ns], and return whether it was written."""
         channel = message.channel
         kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
         kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind != LASER_SCAN else kind
         definition = _definition(kind) or bag.definitions.get(channel.type)
         if channel.encoding not in ENCODINGS and channel.type not in CLOUD_TYPES:
             self.left_out[channel.topic] = f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1"
-        elif definition is None or (channel.encoding == "ros1" and not _definition(kind)):
+            return False
+        if definition is None or (channel.encoding == "ros1" and not _definition(kind)):
             self.left_out[channel.topic] = f"the type {channel.type} is not known here"
-        else:
-            try:
-                data = self._converted(bag.read(message.position), channel)
-            except ValueError:
-                return  # a damaged message; `inspect` counts them
-            self._add(Encoded(channel.topic, kind, data), time, definition)
+            return False
+        try:
+            data = self._converted(bag.read(message.position), channel)
+            if self._new_poses is not None and is_static(channel):
+                data = self._new_poses.without_mounting(data)
+        except Exception as error:  # decompressors and SQLite fail in many ways; the other messages are fine
+            self._damaged.setdefault(channel.topic, []).append(one_line(error))
+            return False
+        if data is None:
+            return False
+        if channel.topic not in self.counts:
+            self._note_changes(bag, channel)
+        self._add(Encoded(channel.topic, kind, data), time, definition)
+        return True
+
+    def _note_changes(self, bag: BagFile, channel: Channel) -> None:
+        """Say once per topic what is not written of its clouds."""
+        if channel.type == LASER_SCAN and self._decimate > 1:
+            self.notes.append(f"scans on {channel.topic} are written whole: --decimate thins clouds only")
+        elif channel.type in CLOUD_TYPES and (channel.type not in _COPIED or isinstance(bag, CloudSequence)):
+            self.notes.append(
+                f"points on {channel.topic} have x, y, z and, if known, a time: intensity and other values are left out"
+            )
 
     def _converted(self, data: bytes, channel: Channel) -> bytes:
         if channel.type == POINT_CLOUD2 and self._decimate > 1:
             cdr = ros1_to_cdr(data, POINT_CLOUD2) if channel.encoding == "ros1" else data
             return _thinned(decode_message(cdr, POINT_CLOUD2, "cdr"), self._decimate)
-        if channel.type in CLOUD_TYPES and channel.type not in (POINT_CLOUD2, LASER_SCAN):
+        if channel.type in CLOUD_TYPES and channel.type not in _COPIED:
             cloud = read_cloud(data, channel.type, channel.encoding)
             rows = cloud.rows.reshape(-1)[:: self._decimate]
             points = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
@@ -201,31 +244,16 @@ class _Output:
             return ros1_to_cdr(data, TF_TYPES[0] if channel.type in TF_TYPES else channel.type)
         return data
 
-    def write_poses(self, recording: Recording, window: tuple[int, int], *, lag: int) -> None:
-        """Write the poses of a recording as /odometry and /tf, and the mounting of the sensor as /tf_static.
-
-        Args:
-            recording: the recording.
-            window: first and last time of recording [ns].
-            lag: time from the stamps of the sweeps to their times of recording [ns].
-        """
-        poses = recording.poses
-        assert poses is not None
-        self._own_poses = True
-        written = 0
-        for i, time in enumerate(poses.times):
-            stamp = recording.start + round(1e9 * float(time))
-            if window[0] <= stamp + lag <= window[1]:
-                state = VehicleState(
-                    poses.positions[i] + poses.offset, poses.velocities[i], poses.quaternions[i], time=float(time)
-                )
-                for message in pose_messages(state, stamp):
-                    self._add(message, stamp + lag, DEFINITIONS[message.kind])
-                written += 1
-        if written and recording.cloud_frame != BODY:
-            time = max(recording.start + lag, window[0])
-            data = _static_transform(BODY, recording.cloud_frame, recording.extrinsic, time - lag)
-            self._add(Encoded(_STATIC_TOPIC, TF_TYPES[0], data), time, DEFINITIONS[TF_TYPES[0]])
+    def write_poses(self, poses: NewPoses, window: Window) -> None:
+        """Write poses in place of the recorded ones, which are not copied any more."""
+        self._new_poses = poses
+        for message, time in poses.messages(window):
+            self._add(message, time, DEFINITIONS[message.kind])
+            self.is_empty = False
+        if self.is_empty:
+            self.notes.append("the poses do not reach the chosen part of the recording: none is written")
+        for message in poses.mounting_messages():
+            self._add(message, window.nearest(self._first), STATIC_DEFINITION)
 
     def _add(self, message: Encoded, time: int, definition: str) -> None:
         key = (message.topic, message.kind)
@@ -235,21 +263,17 @@ class _Output:
         self._writer.add_message(self._channels[key], time, message.data, time)
         self.counts[message.topic] = self.counts.get(message.topic, 0) + 1
 
+    def damage(self) -> list[str]:
+        """Return a sentence on each topic whose messages could not all be read."""
+        return [
+            f"{len(reasons)} of {len(reasons) + self.counts.get(topic, 0)} messages on {topic} are left out, because "
+            f"they cannot be read; the first: {reasons[0]}"
+            for topic, reasons in self._damaged.items()
+        ]
+
     def finish(self) -> None:
         """Write the index."""
         self._writer.finish()
-
-
-def _nanoseconds(seconds: float) -> int:
-    """Return a time [ns], at most that of the end of an int64 clock."""
-    return round(min(seconds * 1e9, 2.0**62))
-
-
-def _recording_lag(contents: Contents, topic: str) -> int:
-    """Return the time from the stamps of the clouds on a topic to their times of recording [ns], 0 on one clock."""
-    lags = [cloud.arrival - cloud.time for found in contents.topics if found.name == topic for cloud in found.clouds]
-    lag = int(np.median(lags)) if lags else 0
-    return lag if abs(lag) > _SAME_CLOCK * 1e9 else 0
 
 
 def _definition(kind: str) -> str | None:
@@ -271,26 +295,12 @@ def _times(rows: NDArray[np.void], stamp: int) -> NDArray[np.uint32] | NDArray[n
 
 def _thinned(cloud: Any, step: int) -> bytes:
     """Return a PointCloud2 with every `step`-th point and all its fields, in one row."""
-    size, row = cloud.point_step, cloud.row_step or cloud.width * cloud.point_step
-    if cloud.height * row > len(cloud.data) or cloud.width * size > row:
-        raise ValueError("the points do not fit into the message")
-    table = np.frombuffer(cloud.data, np.uint8, cloud.height * row).reshape(cloud.height, row)
-    points = table[:, : cloud.width * size].reshape(-1, size)[::step]
+    size, count = cloud.point_step, cloud.height * cloud.width
+    # As in read_point_cloud2: drivers leave row_step unset, or wrong, in clouds of one row.
+    row = cloud.row_step if cloud.height > 1 and cloud.row_step else cloud.width * size
+    if row < cloud.width * size or (count and (cloud.height - 1) * row + cloud.width * size > len(cloud.data)):
+        raise ValueError(f"{count} points of {size} bytes do not fit into {len(cloud.data)} bytes")
+    table = np.ndarray((cloud.height, cloud.width, size), np.uint8, cloud.data, 0, (row, size, 1))
+    points = table.reshape(-1, size)[::step]
     changes = {"height": 1, "width": len(points), "row_step": points.size, "data": points.reshape(-1)}
     return encode_message(dataclasses.replace(cloud, **changes), POINT_CLOUD2)
-
-
-def _static_transform(parent: str, child: str, pose: Any, stamp: int) -> bytes:
-    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
-    x, y, z = map(float, pose.position)
-    w, i, j, k = map(float, pose.quaternion)
-    transform = message_type("geometry_msgs/msg/Transform")(
-        translation=message_type("geometry_msgs/msg/Vector3")(x=x, y=y, z=z),
-        rotation=message_type("geometry_msgs/msg/Quaternion")(x=i, y=j, z=k, w=w),
-    )
-    stamped = message_type("geometry_msgs/msg/TransformStamped")(
-        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=parent),
-        child_frame_id=child,
-        transform=transform,
-    )
-    return encode_message(message_type(TF_TYPES[0])(transforms=[stamped]), TF_TYPES[0])

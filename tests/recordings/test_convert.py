@@ -1,19 +1,26 @@
 """Conversion to MCAP, read back with this project's reader, mcap's and rosbags'."""
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
 import bags
+import captures
 import numpy as np
 import pytest
-from command_line import run_json, run_refused
+from command_line import run, run_json, run_refused
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from aero_viz.recordings import open_recording
+from aero_viz.recordings import inspect, open_recording
 
 Write = Callable[[list[bags.Item]], Path]
+
+
+def changed(item: bags.Item, **fields: object) -> bags.Item:
+    """Return a message with other values of some fields."""
+    return dataclasses.replace(item, build=lambda store, ros1: dataclasses.replace(item.build(store, ros1), **fields))
 
 
 def recorded(path: Path) -> tuple[list[np.ndarray], np.ndarray]:
@@ -75,7 +82,7 @@ def test_livox_clouds_become_point_clouds_with_their_times(
     source = written([bags.odometry(0.0, (0, 0, 0)), bags.livox(0.0, bags.wall(50), offsets)])
     target = tmp_path / "converted.mcap"
     report = run_json(capsys, "convert", str(source), str(target))
-    assert report["left_out"] == {}
+    assert report["left_out"] == {} and "intensity and other values are left out" in report["notes"][0]
     with open_recording(target) as recording:
         sweep = recording.sweep(0)
     np.testing.assert_allclose(sweep.points, bags.wall(50), atol=1e-6)
@@ -112,33 +119,87 @@ def test_a_recording_is_never_written_over_itself(mcap_of: Write, capsys: pytest
     assert source.read_bytes() == before
 
 
-def test_a_cut_keeps_the_mounting_of_the_sensor(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    mounted = bags.transform(0.0, "base", "lidar", (0.5, 0.0, 0.2), topic="/tf_static")
-    source, target = mcap_of([mounted, *bags.drive(child="base")]), tmp_path / "cut.mcap"
-    report = run_json(capsys, "convert", str(source), str(target), "--start", "0.3", "--topics", "/points", "/odom")
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_first_message_is_written_whatever_its_nanoseconds_are(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str], count: int
+):
+    source = mcap_of([bags.cloud(0.1 * k + 200e-9, bags.xyz(bags.wall())) for k in range(count)])
+    report = run_json(capsys, "convert", str(source), str(tmp_path / "out.mcap"))
+    assert report["topics"] == {"/points": count}
+
+
+@pytest.mark.parametrize("arguments", [("--start", "0.3", "--end", "0.6"), ("--topics", "/points", "/odom")])
+def test_every_cut_has_the_mounting_of_the_sensor(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]
+):
+    mounting = bags.transform(0.0, "base_link", "lidar", (0.2, 0, 0.3), (0, 0, 0, 1), topic="/tf_static")
+    source, target = mcap_of([mounting, *bags.drive(child="base_link")]), tmp_path / "cut.mcap"
+    report = run_json(capsys, "convert", str(source), str(target), *arguments)
     assert report["topics"]["/tf_static"] == 1
-    with open_recording(target) as recording:
-        np.testing.assert_allclose(recording.extrinsic.position, [0.5, 0.0, 0.2])
+    with open_recording(source) as before, open_recording(target) as after:
+        shift = round(1e-8 * (after.start - before.start))
+        for k in range(len(after.sweep_times)):
+            np.testing.assert_array_equal(after.sweep(k).points, before.sweep(k + shift).points)
+    with target.open("rb") as file:
+        times = [message.log_time for _, _, message in make_reader(file).iter_messages()]
+    assert min(times) == bags.START + (300_000_000 if arguments[0] == "--start" else 0)
 
 
-def test_the_first_of_three_messages_is_written(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    late = 1e-9 * 457_789  # float64 does not resolve single nanoseconds of such a time
-    source, target = mcap_of([bags.text(late + 0.1 * k) for k in range(3)]), tmp_path / "whole.mcap"
-    assert run_json(capsys, "convert", str(source), str(target))["messages"] == 3
+def test_the_mounting_alone_is_no_part_of_a_recording(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    mounting = bags.transform(0.0, "base_link", "lidar", (0.2, 0, 0.3), topic="/tf_static")
+    source = mcap_of([mounting, *bags.drive(child="base_link")])
+    error = run_refused(capsys, "convert", str(source), str(tmp_path / "cut.mcap"), "--start", "5")
+    assert "is left to write: the recording lasts 0.9 s" in error
 
 
-def test_other_poses_replace_those_of_the_recording(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    source, target, poses = mcap_of(bags.drive()), tmp_path / "posed.mcap", tmp_path / "poses.tum"
-    poses.write_text("".join(f"{1e-9 * bags.START + 0.1 * k:.9f} {2 * k} 0 0 0 0 0 1\n" for k in range(12)))
-    report = run_json(capsys, "convert", str(source), str(target), "--poses", str(poses))
-    assert set(report["left_out"]) >= {"/odom"}
-    with open_recording(target) as recording:
-        assert recording.pose_topic == "/odometry" and recording.poses is not None
-        assert np.ptp(recording.poses.positions[:, 0]) > 10.0
+def test_clouds_of_one_row_are_thinned_whatever_their_row_step_is(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    items = [changed(bags.cloud(0.1 * k, bags.xyz(bags.wall())), row_step=7) for k in range(3)]
+    source, target = mcap_of(items), tmp_path / "thin.mcap"
+    report = run_json(capsys, "convert", str(source), str(target), "--decimate", "4")
+    assert report["topics"] == {"/points": 3} and report["notes"] == []
+    with open_recording(source) as before, open_recording(target) as after:
+        np.testing.assert_array_equal(after.sweep(2).points, before.sweep(2).points[::4])
 
 
-@pytest.mark.parametrize("flags", [("--mask", "-1", "-1", "-1", "1", "1", "1"), ("--extrinsic", *"001000")])
-def test_flags_that_would_change_nothing_are_refused(mcap_of: Write, tmp_path: Path, flags, capsys):
-    source, target = mcap_of(bags.drive()), tmp_path / "same.mcap"
-    assert "aero-viz play" in run_refused(capsys, "convert", str(source), str(target), *flags)
-    assert not target.exists()
+def test_damaged_files_of_a_folder_are_left_out_and_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    clouds = tmp_path / "clouds"
+    clouds.mkdir()
+    for k in range(4):
+        np.save(clouds / f"{k}.npy", bags.wall(seed=k))
+    (clouds / "2.npy").write_bytes(b"")
+    report = run_json(capsys, "convert", str(clouds), str(tmp_path / "out.mcap"))
+    assert report["topics"] == {"/points": 3}
+    assert (
+        "points on /points have x, y, z and, if known, a time: intensity and other values are left out"
+        in report["notes"]
+    )
+    assert any("1 of 4 messages on /points are left out" in note and "2.npy" in note for note in report["notes"])
+
+
+def test_a_recording_of_damaged_messages_leaves_no_file(
+    mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
+    source = mcap_of([changed(bags.cloud(0.0, bags.xyz(bags.wall())), width=1000)])
+    error = run_refused(capsys, "convert", str(source), str(tmp_path / "out.mcap"), "--decimate", "2")
+    assert "1 of 1 messages on /points are left out, because they cannot be read" in error
+
+
+def test_what_is_missing_in_the_recording_is_said(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source = mcap_of(bags.drive())
+    source.write_bytes(source.read_bytes()[:-5000])
+    target = tmp_path / "out.mcap"
+    code, text, _ = run(capsys, "convert", str(source), str(target))
+    assert code == 0 and "note: a.mcap is truncated" in text
+    assert run_json(capsys, "convert", str(source), str(target), "--overwrite")["notes"] == list(
+        inspect(source).problems
+    )
+
+
+def test_scans_are_written_whole(mcap_of: Write, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    source = mcap_of([captures.laser_scan(0.1 * k) for k in range(2)])
+    report = run_json(capsys, "convert", str(source), str(tmp_path / "out.mcap"), "--decimate", "2")
+    assert report["notes"] == ["scans on /scan are written whole: --decimate thins clouds only"]
