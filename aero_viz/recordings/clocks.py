@@ -16,7 +16,7 @@ _SIMILAR = 3.0
 
 
 class ClockFault(NamedTuple):
-    """What is wrong with the stamps of sweeps."""
+    """Fault of the stamps of sweeps."""
 
     text: str
     """Sentence without a full stop."""
