@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Safety:
-    """What the planner measured of M candidates, and what it demands of them."""
+    """Measurements of the planner on M candidates, and its demands on them."""
 
     nearest: Array
     """Least clearance of each, less the margin for its speed [m], shape [M]. Moving obstacles that are near at the
