@@ -128,7 +128,7 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune_alone, br
     saved = desk.session.configure({"costs.q_track": 7.5})
     desk.open_folder("Save as a preset", "Save preset")
     name = desk.control("Name").locator("input")
-    for attempt, words in (("../escape", "cannot be the name of a preset"), ("paper", "is the name of a built-in preset")):
+    for attempt, words in (("../escape", "cannot be the name of a preset"), ("paper", "name of a built-in preset")):
         name.fill(attempt)
         desk.click("Save preset")
         notice = desk.refusal(words)
