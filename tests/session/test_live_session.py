@@ -21,10 +21,12 @@ from aero_viz.dashboard.panels.appearance import AppearancePanel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
+from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.parameters import ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.shortcuts import ShortcutPanel
 from aero_viz.dashboard.panels.status import StatusPanel
+from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.session import live_session
 from aero_viz.session.frame import Frame, Notice
@@ -195,9 +197,11 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
             CameraPanel,
             ChartPanel,
             LayerPanel,
+            OpenTabs,
             ParameterTablePanel,
             ShortcutPanel,
             StatusPanel,
+            TitlePanel,
             VisitorPanel,
         }
         assert not any(layer.needs_samples for layer in dashboard.layers.values()), "the drone sends no samples"
