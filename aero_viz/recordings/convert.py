@@ -21,7 +21,7 @@ from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.convert_poses import STATIC_DEFINITION, NewPoses, Window, is_static
 from aero_viz.recordings.other_clouds import LASER_SCAN
-from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, checked_row_step, encode_point_cloud2
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import (
     ENCODINGS,
@@ -295,12 +295,9 @@ def _times(rows: NDArray[np.void], stamp: int) -> NDArray[np.uint32] | NDArray[n
 
 def _thinned(cloud: Any, step: int) -> bytes:
     """Return a PointCloud2 with every `step`-th point and all its fields, in one row."""
-    size, count = cloud.point_step, cloud.height * cloud.width
-    # As in read_point_cloud2: drivers leave row_step unset, or wrong, in clouds of one row.
-    row = cloud.row_step if cloud.height > 1 and cloud.row_step else cloud.width * size
-    if row < cloud.width * size or (count and (cloud.height - 1) * row + cloud.width * size > len(cloud.data)):
-        raise ValueError(f"{count} points of {size} bytes do not fit into {len(cloud.data)} bytes")
-    table = np.ndarray((cloud.height, cloud.width, size), np.uint8, cloud.data, 0, (row, size, 1))
+    size = cloud.point_step
+    strides = (checked_row_step(cloud), size, 1)
+    table = np.ndarray((cloud.height, cloud.width, size), np.uint8, cloud.data, 0, strides)
     points = table.reshape(-1, size)[::step]
     changes = {"height": 1, "width": len(points), "row_step": points.size, "data": points.reshape(-1)}
     return encode_message(dataclasses.replace(cloud, **changes), POINT_CLOUD2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,18 +81,28 @@ def read_point_cloud2(message: bytes | memoryview, encoding: str) -> RawCloud:
             "itemsize": cloud.point_step,
         }
     )
-    height, width, row_size = cloud.height, cloud.width, cloud.width * cloud.point_step
-    # Several drivers leave row_step unset in clouds of one row, where it has no meaning.
-    row_step = cloud.row_step if height > 1 and cloud.row_step else row_size
-    if row_step < row_size or (height and (height - 1) * row_step + row_size > len(cloud.data)):
-        raise DamagedMessage(
-            f"{height} x {width} points of {cloud.point_step} bytes do not fit into {len(cloud.data)} bytes"
-        )
+    height, width, row_step = cloud.height, cloud.width, checked_row_step(cloud)
     if height * width > SWEEP_POINTS_MAX:
         raise DamagedMessage(f"it has {height * width} points, more than {SWEEP_POINTS_MAX}")
     rows = np.ndarray((height, width), dtype, cloud.data, 0, (row_step, cloud.point_step))
     stamp = cloud.header.stamp.sec * 10**9 + cloud.header.stamp.nanosec
     return RawCloud(stamp, cloud.header.frame_id.lstrip("/"), rows)
+
+
+def checked_row_step(cloud: Any) -> int:
+    """Return the length of a row of a PointCloud2 [bytes].
+
+    Raises:
+        DamagedMessage: the points do not fit into the data.
+    """
+    height, width, row_size = cloud.height, cloud.width, cloud.width * cloud.point_step
+    # Several drivers leave row_step unset, or wrong, in clouds of one row, where it has no meaning.
+    row_step = cloud.row_step if height > 1 and cloud.row_step else row_size
+    if row_step < row_size or (height and (height - 1) * row_step + row_size > len(cloud.data)):
+        raise DamagedMessage(
+            f"{height} x {width} points of {cloud.point_step} bytes do not fit into {len(cloud.data)} bytes"
+        )
+    return row_step
 
 
 def decode_points(
