@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from types import NoneType
 from typing import TYPE_CHECKING, Any, get_args, get_origin
 
-from aero_planner.config.parameter import did_you_mean
+from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.seed_range import check_seed
 

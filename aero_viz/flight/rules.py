@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.config.parameter import ParameterSection, live, structural
+from aero_planner.parameters import ParameterSection, live, structural
 
 OUTCOMES = (None, "arrived", "collision", "stall", "out_of_bounds", "timeout")
 """Outcomes of a flight by their number on the device; 0 means still flying."""

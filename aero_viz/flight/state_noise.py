@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.config.parameter import ParameterSection, live
+from aero_planner.parameters import ParameterSection, live
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from aero_planner.config import PlannerConfig, VehicleConfig
-from aero_planner.config.parameter import ParameterSection, live
+from aero_planner.parameters import ParameterSection, live
 
 PLANNED = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
 """Parameters that the planner's model of the vehicle shares; by default, both have the same values."""

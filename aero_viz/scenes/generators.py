@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.config.parameter import did_you_mean
+from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.scenes import rooms
 from aero_viz.scenes.primitives import DISTANCES

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.config.parameter import did_you_mean
+from aero_planner.parameters import did_you_mean
 from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX

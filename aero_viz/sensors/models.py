@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.config.parameter import ParameterSection, choice, did_you_mean, live, structural
+from aero_planner.parameters import ParameterSection, choice, did_you_mean, live, structural
 from aero_viz.errors import UserError
 
 

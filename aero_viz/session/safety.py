@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from aero_planner import Planner, PlanStatus
 from aero_planner.arrays import fine_shape
-from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.device.kernel_tuning import CPU
 from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
-from aero_planner.kernels.records import DroneState, Rollouts, bundle
+from aero_planner.device.records import DroneState, Rollouts, bundle
 from aero_planner.kernels.stop_proof import evaluate_stops
 from aero_planner.kernels.stops import roll_out_stops
 

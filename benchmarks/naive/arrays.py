@@ -13,7 +13,7 @@ import warp as wp
 
 from aero_planner import Planner
 from aero_planner.arrays import fine_shape
-from aero_planner.kernels.params import Params
+from aero_planner.device.params import Params
 from benchmarks.naive.model import PROBES
 
 BRAKING_CANDIDATES = wp.constant(5)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from aero_planner.kernels.params import Params
+from aero_planner.device.params import Params
 
 wp.set_module_options({"enable_backward": False})
 

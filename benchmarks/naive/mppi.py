@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from aero_planner.kernels.mppi import NOISE_STEP
-from aero_planner.kernels.params import Params
+from aero_planner.device.params import Params
 from benchmarks.naive.arrays import Arrays
 from benchmarks.naive.model import (
     PROBES,

@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 import weakref
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 import warp as wp
@@ -27,6 +28,11 @@ class ArraySpec:
     unit: str
     text: str
     """Meaning, in one sentence."""
+    kept: Literal["plans", "sweeps"] | None = None
+    """What a later plan needs of the array: "plans" for state that is carried from plan to plan, "sweeps" for what is
+    known from the sweeps in memory; None for nothing."""
+    initial: float = 0.0
+    """Value of all entries where nothing is known yet."""
 
     def evaluate_shape(self, sizes: Any) -> tuple[int, ...]:
         """Return the shape for the sizes, an object with one attribute per symbol."""
@@ -37,9 +43,9 @@ class ArraySpec:
         return tuple(sum(map(product, entry.split("+"))) for entry in self.shape.split())
 
 
-def array(dtype: Any, shape: str, unit: str, text: str) -> Any:
+def array(dtype: Any, shape: str, unit: str, text: str, **more: Any) -> Any:
     """Return a dataclass field that declares a device array; see `ArraySpec`."""
-    return dataclasses.field(metadata={"array": ArraySpec(dtype, shape, unit, text)})
+    return dataclasses.field(metadata={"array": ArraySpec(dtype, shape, unit, text, **more)})
 
 
 class PackedArrays(Generic[Arrays]):
@@ -49,13 +55,16 @@ class PackedArrays(Generic[Arrays]):
         kind: dataclass whose fields declare the arrays.
         sizes: an object with one attribute per symbol of their shapes.
         device: device of the arrays.
+        more: further such dataclasses, whose arrays have other names.
 
     Attributes:
         arrays: an instance of `kind` with the device arrays.
+        more: instances of the further dataclasses.
     """
 
-    def __init__(self, kind: type[Arrays], sizes: Any, device: wp.Device) -> None:
-        specs = array_specs(kind)
+    def __init__(self, kind: type[Arrays], sizes: Any, device: wp.Device, *, more: Sequence[type] = ()) -> None:
+        kinds = (kind, *more)
+        specs = {name: spec for group in kinds for name, spec in array_specs(group).items()}
         offsets: list[int] = []
         formats: list[Any] = []
         size = 0
@@ -70,12 +79,12 @@ class PackedArrays(Generic[Arrays]):
         self._record = np.dtype({"names": list(specs), "formats": formats, "offsets": offsets, "itemsize": size})
         self._memory = wp.zeros(size, dtype=wp.uint8, device=device)
         pointer = int(self._memory.ptr or 0)
-        self.arrays: Arrays = kind(**{
-            name: wp.array(
-                ptr=pointer + offset, dtype=spec.dtype, shape=spec.evaluate_shape(sizes), device=device
-            )
+        views = {
+            name: wp.array(ptr=pointer + offset, dtype=spec.dtype, shape=spec.evaluate_shape(sizes), device=device)
             for offset, (name, spec) in zip(offsets, specs.items(), strict=True)
-        })  # fmt: skip
+        }
+        self.arrays: Arrays = kind(**{name: views[name] for name in array_specs(kind)})
+        self.more: list[Any] = [group(**{name: views[name] for name in array_specs(group)}) for group in more]
         # On the CPU the device's memory is the host's.
         self._host = self._memory if device.is_cpu else wp.zeros(size, dtype=wp.uint8, device="cpu", pinned=True)
         self._device = device
@@ -160,6 +169,19 @@ def allocate(kind: type[Arrays], sizes: Any, device: wp.Device, **present: wp.ar
         if name not in present
     }
     return kind(**zeros, **present)
+
+
+def forget(arrays: Any, kept: str) -> None:
+    """Set the arrays of a dataclass that are kept for `kept` to their initial values."""
+    for name, spec in array_specs(type(arrays)).items():
+        if spec.kept == kept:
+            getattr(arrays, name).fill_(_filled(spec))
+
+
+def _filled(spec: ArraySpec) -> Any:
+    if hasattr(spec.dtype, "_shape_"):
+        return spec.dtype(spec.initial)
+    return int(spec.initial) if spec.dtype is wp.int32 else spec.initial
 
 
 def as_vectors(values: wp.array, width: int) -> wp.array:

@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Imported here so that Ctrl-C during the import also ends the program quietly.
         from importlib.metadata import entry_points
 
-        from aero_planner.config.parameter import did_you_mean
+        from aero_planner.parameters import did_you_mean
 
         words = list(sys.argv[1:] if arguments is None else arguments)
         added = {point.name: point for point in entry_points(group=GROUP) if point.name not in _COMMANDS}

@@ -12,9 +12,7 @@ from numpy.typing import NDArray
 
 from aero_planner.array_memory import allocate
 from aero_planner.arrays import CloudArrays
-from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.shells import COUNTERS
-from aero_planner.kernels.wakes import WAKES
 from aero_planner.sweeps import is_constant
 
 Points = NDArray[Any] | wp.array | Sequence[NDArray[Any]]
@@ -25,8 +23,6 @@ class _Sizes(NamedTuple):
     S: int = 1
     P: int = 1
     E: int = int(COUNTERS)
-    X: int = int(MOVERS)
-    U: int = int(WAKES)
 
 
 class Cloud:

@@ -24,6 +24,8 @@ Chunk = list[Launch]
 """Launches that run one after another."""
 PLAN = "plan"
 """Name of the stages that plan."""
+RESET = "reset"
+"""Name of the stages that run before the next plan if one was interrupted."""
 
 
 def usable_cores() -> int:
@@ -90,16 +92,20 @@ class LaunchSequence:
     Args:
         device: device of the launches.
         workers: CPU threads that share the chunks of a stage; 1 on CUDA.
+        dry: True to note the kernels only, in `kernels`, without a device that could run them.
 
     Attributes:
+        kernels: kernel and block size of each launch that was recorded.
         stages: stages in order, by the name of what they do; the chunks of a stage may run at the same time.
         stage_ms: time of each stage in the last `run` on the CPU [ms].
     """
 
-    def __init__(self, device: wp.Device, workers: int) -> None:
+    def __init__(self, device: wp.Device, workers: int, *, dry: bool = False) -> None:
+        self.kernels: list[tuple[wp.Kernel, int]] = []
         self.stages: dict[str, list[list[Chunk]]] = {}
         self.stage_ms: dict[str, float] = {}
-        self._device, self._workers = device, workers
+        self._device, self._workers, self._dry = device, workers, dry
+        self._is_interrupted = False
         self._executor = ThreadPoolExecutor(workers - 1, "aero-planner") if workers > 1 else None
         self._branches = _Branches(device)
         self._graphs: dict[str, Any] = {}
@@ -108,6 +114,9 @@ class LaunchSequence:
         self, kernel: Any, dim: tuple[int, ...], *, inputs: list[Any], outputs: list[Any], block_dim: int = 256
     ) -> Callable[[], Any]:
         """Record a launch and return the function that runs it."""
+        self.kernels.append((kernel, block_dim))
+        if self._dry:
+            return lambda: None
         command: Any = wp.launch(
             kernel, dim, inputs=inputs, outputs=outputs, device=self._device, record_cmd=True, block_dim=block_dim
         )
@@ -142,6 +151,9 @@ class LaunchSequence:
 
     def run(self, name: str = PLAN) -> None:
         """Run all stages of `name` in order. On the CPU, `stage_ms` then holds the time of each stage [ms]."""
+        if self._is_interrupted:  # an error or Ctrl-C has left counters that a plan resets at its end
+            self._run_eagerly(RESET)
+        self._is_interrupted = True
         if self._device.is_cpu:
             self._run_eagerly(name)
         elif name not in self._graphs:
@@ -151,6 +163,7 @@ class LaunchSequence:
             self._graphs[name] = capture.graph
         else:
             wp.capture_launch(self._graphs[name])
+        self._is_interrupted = False
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans [ms].

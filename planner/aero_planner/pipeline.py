@@ -1,8 +1,4 @@
-"""The stages of a plan as kernel launches, recorded once per structure and replayed for every plan.
-
-On the CPU the heavy stages are split into chunks, slices of the points or of the instances, for the worker threads. On
-CUDA every stage is one chunk.
-"""
+"""The stages of a plan, in order: partition, anchors, guides, Stage I, Stage II, selection, and those of the registry."""
 
 from __future__ import annotations
 
@@ -14,191 +10,158 @@ import warp as wp
 
 from aero_planner.array_memory import as_scalars, as_vectors
 from aero_planner.arrays import Sizes
-from aero_planner.cloud_stages import CloudStages
-from aero_planner.config import PlannerConfig
-from aero_planner.kernels import (
-    anchors,
-    clearance,
-    continuation,
-    guides,
-    movers,
-    mppi,
-    partition,
-    prediction,
-    sample_clearance,
-    selection,
-    stop_proof,
-    stops,
+from aero_planner.cloud_launches import (
+    build_clearance_grid,
+    finish_fine_cells,
+    order_points,
+    pool_coarse_cells,
+    scan_points,
+    stamp_sweep,
 )
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.launch_sequence import PLAN, Chunk, LaunchSequence
-from aero_planner.pipeline_records import PipelineArrays, PipelineRecords
-from aero_planner.sweep_stages import SweepStages
+from aero_planner.composition import Composition
+from aero_planner.config import PlannerConfig
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.kernels import anchors, guides, mppi, prediction, sample_clearance, selection
+from aero_planner.kernels.guides import BRAKING_FAN
+from aero_planner.launch_sequence import PLAN, RESET, Chunk, LaunchSequence
+from aero_planner.recorder import PlannerArrays, Recorder
 
+ARRIVAL = "arrival"
+"""Name of the stages that take a sweep into the memory."""
 PLAN_AND_ARRIVAL = "plan and arrival"
-"""Name of the stages that plan and meanwhile take a sweep into the memory."""
-
-
-def tuned_kernels(tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
-    """Return every kernel made for a tuning, for one drone and for many, and the block size of its launches."""
-    many = tuning.for_batch(1024)
-    for_cpu = [(stop_proof.prove_stops(many), 256), (sample_clearance.query_sample_vectors(tuning), 256)]
-    return ([] if tuning.is_cuda else for_cpu) + [
-        (partition.scatter_points(tuning), 256),
-        (continuation.find_edges(tuning), 256),
-        (continuation.continue_surfaces(tuning), 256),
-        (clearance.fill_rows(tuning), 256),
-        (guides.make_guides(tuning), 32),
-        (mppi.sample_rollouts(tuning), 32),
-        (sample_clearance.query_clearance(tuning), 128),
-        (sample_clearance.query_clearance(many), 128),
-        (mppi.update_controls(tuning), tuning.threads_per_update),
-        (mppi.update_controls(many), many.threads_per_update),
-        (selection.roll_out_controls(tuning), 32),
-        (selection.evaluate_states(tuning), 32),
-        (selection.evaluate_states(many), 32),
-        (selection.score_instances(tuning), 32),
-        (selection.commit_plan(tuning), 32),
-        (stops.roll_out_stops(tuning), 32),
-        (stop_proof.evaluate_stops(tuning), 32),
-        (stop_proof.evaluate_stops(many), 32),
-    ]
+"""Name of the stages that do so while they plan."""
 
 
 class Pipeline(LaunchSequence):
-    """The launches of a plan over the planner's arrays.
+    """All launches of a plan.
 
     Args:
         config: configuration, of which only the structure is used.
+        composition: its composition.
         sizes: sizes of the arrays.
         tuning: tuning of the device for one drone.
         arrays: arrays of the planner.
+        dry: True to note the kernels only, without a device that could run them.
     """
 
     def __init__(
         self,
         config: PlannerConfig,
+        composition: Composition,
         sizes: Sizes,
         tuning: KernelTuning,
-        arrays: PipelineArrays,
+        arrays: PlannerArrays,
+        *,
+        dry: bool = False,
     ) -> None:
-        super().__init__(wp.get_device(str(arrays.params.device)), sizes.W)
-        self._config, self._sizes = config, sizes
-        self._tuning, self._batch_tuning = tuning, tuning.for_batch(sizes.B)
-        self._inputs, self._outputs, self._work = arrays.inputs, arrays.outputs, arrays.work
-        self._cloud, self._newest, self._params = arrays.cloud, arrays.motion.arrays.newest, arrays.params
-        kinds = config.kinds
+        super().__init__(wp.get_device(str(arrays.params.device)), sizes.W, dry=dry)
+        recorder = Recorder(self.record, config, composition, sizes, tuning, arrays)  # not kept: it refers to this object
+        _Stages(self, recorder).record()
+
+
+class _Stages:
+    """Records the stages of a plan. On CUDA, branches run in parallel with the stages up to their join."""
+
+    def __init__(self, sequence: LaunchSequence, recorder: Recorder) -> None:
+        self._sequence, self._r = sequence, recorder
+        self._branch, self._serial = sequence.branch, sequence.serial
+        kinds = recorder.config.kinds
         self._previous_index = kinds.index("previous") if "previous" in kinds else -1
-        self._brake_index = kinds.index("brake") if "brake" in kinds else -1
-        cloud_stages = CloudStages(self, config, sizes, tuning, arrays)  # not kept, since they refer to this object
-        self._duplicate_rows = cloud_stages.duplicate_rows
-        self._records = PipelineRecords(arrays.inputs, arrays.outputs, arrays.work)
-        self._record_stages(arrays, cloud_stages)
 
-    # --- the stages, in order ---
-
-    def _record_stages(self, arrays: PipelineArrays, cloud: CloudStages) -> None:
-        """Record all launches. On CUDA, branches run in parallel with the stages up to their join."""
-        predict = self.serial("anchors", *self.branch("anchors", self._predict_state()))
-        place_anchors = self.serial("anchors", *self.branch("anchors", self._place_anchors(), after="anchors"))
-        place_movers = self._place_movers()
-        movers = self.serial("anchors", *self.branch("movers", place_movers, after="anchors"))
-        scan = cloud.scan_points()
-        reset_keys = arrays.work.cell_keys.zero_
-        reset_grid = arrays.work.cell_ends.zero_, arrays.work.points_used.zero_
+    def record(self) -> None:
+        s, r, w = self._sequence, self._r, self._r.work
+        reset_keys, reset_grid = w.cell_keys.zero_, (w.cell_ends.zero_, w.points_used.zero_)
+        predict = self._serial("anchors", *self._branch("anchors", self._predict_state()))
+        place_anchors = self._serial("anchors", *self._branch("anchors", self._place_anchors(), after="anchors"))
+        start = self._flat("start")
+        beside = self._serial("beside", *self._branch("beside", *start))
+        scan = scan_points(r)
         # No later stage needs the coarse cells. Beside the guides they would delay these.
-        late = [cloud.pool_coarse_cells(), *([reset_keys] if self._device.is_cuda else [])]
-        pool = self.serial("partition", *self.branch("pool", *late, after="grid"))
+        pool = self._serial("partition", *self._branch("pool", pool_coarse_cells(r), reset_keys, after="grid"))
+        guide_rows = self._flat("guides")
         plan = [
-            cloud.finish_fine_cells(),
-            self.serial("partition", self.join("anchors")),
-            cloud.find_surfaces(),
-            cloud.find_nearest_surfaces(),
-            cloud.continue_surfaces(),
-            self.serial("grid", self.fork("grid"), *reset_grid),  # until the first clearance query
-            cloud.build_clearance_grid(),
-            self.serial("guides", self.end_fork("grid"), self._make_guides()),
-            *([pool] if self._device.is_cuda else []),
+            finish_fine_cells(r),
+            self._serial("partition", s.join("anchors"), s.join("beside")),
+            *self._named("partition", "cells"),
+            self._serial("grid", s.fork("grid"), *reset_grid),  # until the first clearance query
+            build_clearance_grid(r),
+            self._serial("guides", s.end_fork("grid"), *self._branch("guides", *guide_rows), self._make_guides()),
             self._optimize(),
-            *self._select_instance(pool),
+            *self._select(pool),
         ]
         # A GPU starts the first launches one after another, in the order in which they are recorded.
-        self.stages[PLAN] = [predict, scan, place_anchors, movers, *plan]
-        if self._device.is_cpu:  # here the plan before may have been interrupted
-            reset = self.serial("partition", reset_keys, arrays.work.worker_dropped.zero_)
-            self.stages[PLAN].insert(0, reset)
-        if arrays.change is not None and self._device.is_cuda:
-            sweeps = SweepStages(self, arrays.cloud, arrays.change, arrays.motion)
-            self.stages[PLAN_AND_ARRIVAL] = [
-                self.serial("motion", *self.branch("movers", *sweeps.estimate_motion(), place_movers)),
+        s.stages[PLAN] = [predict, scan, place_anchors, beside, *plan]
+        s.stages[RESET] = [self._serial("reset", reset_keys, w.worker_dropped.zero_)]
+        if r.change is not None:
+            arrive = [stamp_sweep(r), *self._flat("arrival")]
+            change, order = self._flat("cloud"), order_points(r)
+            s.stages[ARRIVAL] = [self._serial(ARRIVAL, *arrive, *change, *order)]
+            s.stages[PLAN_AND_ARRIVAL] = [
+                self._serial("beside", *self._branch("beside", *arrive, *start)),
                 predict,
-                self.serial("partition", *sweeps.thin()),
+                self._serial("partition", *change),
                 scan,
                 place_anchors,
-                self.serial("order", *self.branch("order", *sweeps.order_points())),  # this plan reads without order
+                self._serial("order", *self._branch("order", *order)),  # this plan reads without order
                 *plan,
-                self.serial("order", self.join("order")),
+                self._serial("order", s.join("order")),
             ]
 
-    def _place_anchors(self) -> Callable[[], Any]:
-        i, o, w, r, anchor_config = self._inputs, self._outputs, self._work, self._records, self._config.anchors
-        return self.record(
-            anchors.place_anchors,
-            (self._sizes.B, self._sizes.A),
-            inputs=[
-                r.drone, i.time, r.given_goal, self._params, anchor_config.columns, anchor_config.rows, self._sizes.N,
-                w.tick, r.escape, r.previous,
-            ],
-            outputs=[
-                w.command, w.control, r.goal, w.lookahead_length, w.clip_guides, w.initial_directions,
-                o.initial_endpoints,
-            ],
-        )  # fmt: skip
+    def _named(self, name: str, place: str) -> list[list[Chunk]]:
+        """Return the steps of all stages at a place, whose time is counted under a name."""
+        stages = [stage for stage in self._r.composition.stages if place in stage.launches]
+        return [
+            [chunk for launches in step for chunk in self._serial(name, *launches)]
+            for stage in stages
+            for step in stage.launches[place](self._r)
+        ]
+
+    def _flat(self, place: str) -> list[Callable[[], Any]]:
+        """Return the launches of all stages at a place, one after another."""
+        return [launch for step in self._named(place, place) for chunk in step for _, launch in chunk]
 
     def _predict_state(self) -> Callable[[], Any]:
-        r = self._records
-        return self.record(
-            prediction.predict_state,
-            (self._sizes.B,),
-            inputs=[r.given_drone, self._inputs.time, self._params, r.previous],
-            outputs=[self._work.mean_disturbance, self._work.drag_means, self._work.view_quaternion, r.drone],
+        r = self._r
+        return r.record(
+            prediction.predict_state(r.composition),
+            (r.sizes.B,),
+            inputs=[r.problem, r.params, r.previous, r.views],
+            outputs=[r.start],
         )
 
-    def _place_movers(self) -> Callable[[], Any]:
-        r = self._records
-        return self.record(
-            movers.place_movers,
-            (self._sizes.B,),
-            inputs=[self._inputs.time, self._params, self._newest, self._cloud.bundle()],
-            outputs=[r.movers],
+    def _place_anchors(self) -> Callable[[], Any]:
+        r, config = self._r, self._r.config.anchors
+        return r.record(
+            anchors.place_anchors(r.composition),
+            (r.sizes.B, r.sizes.A),
+            inputs=[r.problem, r.params, config.columns, config.rows, r.sizes.N, r.previous, r.views],
+            outputs=[r.start, r.work.initial_directions, r.outputs.initial_endpoints],
         )
 
     def _make_guides(self) -> Callable[[], Any]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        part = self._config.partition
-        return self.record(
-            guides.make_guides(self._tuning),
-            (sizes.B, sizes.R, self._tuning.threads_per_instance),
+        r, sizes = self._r, self._r.sizes
+        return r.record(
+            guides.make_guides(r.tuning, r.composition),
+            (sizes.B, sizes.M + int(BRAKING_FAN), r.tuning.threads_per_instance),
             inputs=[
-                r.drone, i.time, r.goal, self._params, sizes.M, sizes.A, self._previous_index,
-                part.fine_cells, part.coarse_rows, part.coarse_columns, o.fine_range, w.fine_directions,
-                w.lookahead_length, w.clip_guides, w.initial_directions, r.previous,
+                r.problem, r.start, r.params, sizes.M, sizes.A, self._previous_index, r.cells,
+                r.work.initial_directions, r.previous,
             ],
-            outputs=[r.guides, w.waypoints, w.nominal_controls, w.plan_period, w.stop_ready, w.stop_command],
+            outputs=[r.guides, r.nominal_controls],
             block_dim=32,
         )  # fmt: skip
 
     def _optimize(self) -> list[Chunk]:
         """Stage I: sample, query the clearance and update the controls, for a slice of the instances per chunk."""
-        instances = self._sizes.B * self._sizes.M
+        sizes, s = self._r.sizes, self._sequence
+        instances = sizes.B * sizes.M
         # More chunks than workers, since instances among obstacles take longer than those in the open.
-        count = min(instances, 4 * self._sizes.W) if self._sizes.W > 1 else 1
+        count = min(instances, 4 * sizes.W) if sizes.W > 1 else 1
         bounds = [instances * chunk // count for chunk in range(count + 1)]
         return [
             [
                 ("rollouts", self._sample_rollouts(first, end - first)),
-                ("clearance", self.join("grid")),
-                ("clearance", self.join("movers")),
+                ("clearance", s.join("grid")),
                 ("clearance", self._query_clearance(first, end - first)),
                 ("update", self._update_controls(first, end - first)),
             ]
@@ -206,13 +169,13 @@ class Pipeline(LaunchSequence):
         ]
 
     def _sample_rollouts(self, first: int, count: int) -> Callable[[], Any]:
-        o, w, r, sizes, width = self._outputs, self._work, self._records, self._sizes, self._tuning.samples_per_thread
-        return self.record(
-            mppi.sample_rollouts(self._tuning),
-            (count, sizes.L // width),
+        r, w, o, width = self._r, self._r.work, self._r.outputs, self._r.tuning.samples_per_thread
+        return r.record(
+            mppi.sample_rollouts(r.tuning, r.composition),
+            (count, r.sizes.L // width),
             inputs=[
-                first, sizes.M, self._previous_index, w.finished, r.drone, r.goal, self._params, w.seed, w.tick,
-                as_vectors(w.noise, width), o.guides, w.waypoints, w.nominal_controls,
+                first, r.sizes.M, self._previous_index, r.problem, r.start, r.params, w.seed, w.tick,
+                as_vectors(w.noise, width), o.guides, w.nominal_controls,
             ],
             outputs=[
                 as_vectors(w.sample_controls, width), as_vectors(w.sample_positions, width),
@@ -222,145 +185,88 @@ class Pipeline(LaunchSequence):
         )  # fmt: skip
 
     def _query_clearance(self, first: int, count: int) -> Callable[[], Any]:
-        i, w, r, sizes = self._inputs, self._work, self._records, self._sizes
-        if not self._tuning.is_cuda:
-            return self.record(
-                sample_clearance.query_sample_vectors(self._tuning),
-                (count, sizes.Q),
-                inputs=[
-                    first, sizes.M, sizes.N, w.finished, i.position, i.ground_height, r.movers, self._params,
-                    w.cell_ends, w.point_packs, as_vectors(w.sample_positions, self._tuning.samples_per_thread),
-                ],
-                outputs=[w.sample_clearance_cost],
-            )  # fmt: skip
-        tuning = self._batch_tuning
-        return self.record(
-            sample_clearance.query_clearance(tuning),
-            (count, -(-sizes.Q // tuning.rows_per_sample_query), sizes.K * tuning.threads_per_sample_query),
+        r, w, sizes, tuning = self._r, self._r.work, self._r.sizes, self._r.batch_tuning
+        width = tuning.samples_per_thread
+        threads = sizes.K * tuning.threads_per_sample_query if width == 1 else 1
+        return r.record(
+            sample_clearance.query_clearance(tuning, r.composition),
+            (count, -(-sizes.Q // tuning.rows_per_sample_query), threads),
             inputs=[
-                first, sizes.M, sizes.N, w.finished, i.position, i.ground_height, r.movers, self._params,
-                self._duplicate_rows, w.cell_ends, w.point_packs, w.sample_positions,
+                first, sizes.M, sizes.N, r.problem, r.params, r.grid, r.views,
+                w.sample_positions if width == 1 else as_vectors(w.sample_positions, width),
             ],
             outputs=[w.sample_clearance_cost],
             block_dim=128,
         )  # fmt: skip
 
     def _update_controls(self, first: int, count: int) -> Callable[[], Any]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        threads, width = self._batch_tuning.threads_per_update, self._tuning.samples_per_read
+        r, w, o, sizes = self._r, self._r.work, self._r.outputs, self._r.sizes
+        threads, width = r.batch_tuning.threads_per_update, r.tuning.samples_per_read
         sample_controls = as_vectors(w.sample_controls, width).reshape((sizes.B * sizes.M, sizes.N * 4, -1))
-        return self.record(
-            mppi.update_controls(self._batch_tuning),
+        return r.record(
+            mppi.update_controls(r.batch_tuning, r.composition),
             (count, threads),
             inputs=[
-                first, sizes.M, w.finished, i.goal_position, self._params, r.escape, w.waypoints,
-                as_scalars(w.nominal_controls), sample_controls, w.sample_positions, w.sample_clearance_cost,
+                first, sizes.M, r.problem, r.params, r.views, as_scalars(w.nominal_controls), sample_controls,
+                w.sample_positions, w.sample_clearance_cost,
             ],
             outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
             block_dim=threads,
         )  # fmt: skip
 
-    def _select_instance(self, pool: list[Chunk]) -> list[list[Chunk]]:
-        """Stage II: roll out the optimised controls, sum S2, find the clearance of the stops, and choose.
-
-        On a CPU stops are only proven as far as the choice needs it, and `pool` runs beside the rollouts. On CUDA the
-        rollouts of the stops are the longest launch.
-        """
+    def _select(self, pool: list[Chunk]) -> list[list[Chunk]]:
+        """Stage II: roll out the optimised controls, sum S2, and choose; `pool` runs beside the rollouts."""
+        s, serial = self._sequence, self._serial
         roll_out, evaluate, score = self._evaluate_instances()
-        if not self._tuning.is_cuda:
-            prove = self._prove_stops()
-            return [
-                [*pool, *self.serial("stage2", roll_out, evaluate)],
-                self.serial("stage2", score, prove, self._commit_plan()),
-            ]
-        roll_out_stops, evaluate_stops = self._evaluate_all_stops()
+        rollouts, proof = self._named("stage2", "rollouts"), self._named("stage2", "proof")
+        # Launches of stages run beside those of the core: on CUDA on a branch, on a CPU as chunks for the workers.
+        begin = serial("stage2", s.fork("rollouts"))
+        end = serial("stage2", s.end_fork("rollouts"))
         return [
-            self.serial("stage2", roll_out, *self.branch("stops", roll_out_stops), evaluate),
-            self.serial("stage2", self.join("stops"), *self.branch("score", score), evaluate_stops, self.join("score")),
-            self.serial("stage2", self._commit_plan(), self.join("pool")),
+            [*pool, *serial("stage2", s.join("guides"), roll_out)],
+            begin,
+            *rollouts,
+            end,
+            serial("stage2", evaluate, s.join("rollouts"), *self._branch("score", score)),
+            *proof,
+            serial("stage2", s.join("score"), self._commit_plan(), *self._flat("end"), s.join("pool")),
         ]
 
     def _evaluate_instances(self) -> list[Callable[[], Any]]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        lanes, threads = self._tuning.threads_per_instance, self._batch_tuning.threads_per_query
-        roll_out = self.record(
-            selection.roll_out_controls(self._tuning),
+        r, w, sizes = self._r, self._r.work, self._r.sizes
+        lanes, threads = r.tuning.threads_per_instance, r.batch_tuning.threads_per_query
+        roll_out = r.record(
+            selection.roll_out_controls(r.tuning, r.composition),
             (sizes.B, sizes.R, lanes),
-            inputs=[r.drone, self._params, sizes.M, w.nominal_controls],
+            inputs=[r.start, r.params, sizes.M, w.nominal_controls],
             outputs=[r.rollouts],
             block_dim=32,
         )
-        evaluate = self.record(
-            selection.evaluate_states(self._batch_tuning),
-            (sizes.B, sizes.R, sizes.Q + sizes.N + 1, threads),
+        evaluate = r.record(
+            selection.evaluate_states(r.batch_tuning, r.composition),
+            (sizes.B, sizes.R, sizes.Q + 1, threads),
             inputs=[
-                w.finished, r.drone, i.position, i.ground_height, r.goal, r.movers, self._params, self._duplicate_rows,
-                w.cell_ends, w.point_packs, w.waypoints, r.rollouts,
+                r.problem, r.start, r.params, sizes.M, self._previous_index, r.grid, r.views, r.outputs.guides,
+                r.rollouts,
             ],
-            outputs=[o.clearance, w.state_terms, w.standing_clearance],
+            outputs=[w.state_costs, r.scores],
             block_dim=32,
         )  # fmt: skip
-        score = self.record(
-            selection.score_instances(self._tuning),
+        score = r.record(
+            selection.score_instances(r.tuning, r.composition),
             (sizes.B, sizes.R, lanes),
-            inputs=[
-                i.position, i.quaternion, i.goal_position, w.command, self._params, sizes.M, self._previous_index,
-                sizes.F0, sizes.F1, o.fine_range, r.escape, w.waypoints, o.controls, o.positions, w.state_terms,
-                w.standing_clearance,
-            ],
-            outputs=[r.costs, w.instance_scores],
-            block_dim=32,
-        )  # fmt: skip
-        return [roll_out, evaluate, score]
-
-    def _prove_stops(self) -> Callable[[], Any]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        return self.record(
-            stop_proof.prove_stops(self._batch_tuning),
-            (sizes.B,),
-            inputs=[
-                w.finished, r.drone, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.M,
-                sizes.Q - sizes.N, self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, w.plan_period, r.rollouts,
-                w.cell_ends, w.point_packs, w.state_terms, w.standing_clearance, w.instance_scores, w.stop_ready,
-            ],
-            outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
-        )  # fmt: skip
-
-    def _evaluate_all_stops(self) -> list[Callable[[], Any]]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        roll_out = self.record(
-            stops.roll_out_stops(self._tuning),
-            (sizes.B, sizes.M * sizes.J),
-            inputs=[w.finished, r.drone, self._params, w.plan_period, r.rollouts],
-            outputs=[w.stop_controls, w.stop_positions, w.stop_clearance],
+            inputs=[r.problem, r.params, r.views, r.outputs.positions, w.state_costs],
+            outputs=[r.scores],
             block_dim=32,
         )
-        evaluate = self.record(
-            stop_proof.evaluate_stops(self._batch_tuning),
-            (sizes.B, sizes.M * sizes.J, 4 * sizes.N, self._batch_tuning.threads_per_stop_query),
-            inputs=[
-                w.finished, i.position, i.quaternion, i.ground_height, r.movers, self._params, sizes.Q - sizes.N,
-                self._duplicate_rows, sizes.F0, sizes.F1, o.fine_range, o.positions, w.plan_period, w.cell_ends,
-                w.point_packs, w.stop_positions, w.state_terms, w.standing_clearance,
-            ],
-            outputs=[w.stop_clearance],
-            block_dim=32,
-        )  # fmt: skip
-        return [roll_out, evaluate]
+        return [roll_out, evaluate, score]
 
     def _commit_plan(self) -> Callable[[], Any]:
-        i, o, w, r, sizes = self._inputs, self._outputs, self._work, self._records, self._sizes
-        return self.record(
-            selection.commit_plan(self._tuning),
-            (sizes.B, self._tuning.threads_per_instance),
-            inputs=[
-                i.time, i.position, i.goal_position, i.cloud_age, w.control, self._params, sizes.M, self._brake_index,
-                w.waypoints, w.standing_clearance, w.instance_scores, w.plan_period, w.stop_ready, w.stop_command,
-                w.stop_controls, w.stop_clearance,
-            ],
-            outputs=[
-                r.guides, r.rollouts, r.costs, o.clearance, w.tick, r.escape, o.best, o.status,
-                o.braking_instance, r.previous,
-            ],
+        r = self._r
+        return r.record(
+            selection.commit_plan(r.tuning, r.composition),
+            (r.sizes.B, r.tuning.threads_per_instance),
+            inputs=[r.problem, r.start, r.params, r.sizes.M, r.views],
+            outputs=[r.guides, r.rollouts, r.scores, r.choice, r.previous],
             block_dim=32,
-        )  # fmt: skip
+        )

@@ -86,7 +86,12 @@ class MovingObstacles:
     velocities: Array
     """[m/s], shape [n, 2], world frame."""
     radii: Array
-    """When the plan takes effect [m], shape [n]. They grow by partition.predict_growth."""
+    """When the plan takes effect [m], shape [n]. They grow by 0.1 m/s."""
+
+    @classmethod
+    def none(cls) -> MovingObstacles:
+        """Return no obstacles."""
+        return cls(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
 
 
 def _none() -> None:

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.arrays import Sizes, Workspace, fine_shape
+from aero_planner.arrays import Sizes, Workspace
 from aero_planner.config import PlannerConfig
+from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.plan import BrakingCandidates, MovingObstacles, Plan, PlanStatus
 
@@ -92,8 +93,10 @@ class _PlanArrays:
     def _moving(self) -> MovingObstacles | None:
         if self._batched:
             return None
-        count = int(self._values["mover_count"][0])
-        names = ("mover_position", "mover_velocity", "mover_radius")
+        if "dynamic_count" not in (self._values.dtype.names or ()):
+            return MovingObstacles.none()
+        count = int(self._values["dynamic_count"][0])
+        names = ("dynamic_position", "dynamic_velocity", "dynamic_radius")
         return MovingObstacles(*(self._values[name][0, :count] for name in names))
 
     def __call__(self, name: str) -> Any:
@@ -103,16 +106,16 @@ class _PlanArrays:
             return makers[name]()
         if name not in _ARRAYS:
             raise AttributeError(f"a plan has no attribute {name!r}")
-        array, part, B = self._values[_SOURCES.get(name, name)], self._config.partition, self._drones
+        array, B = self._values[_SOURCES.get(name, name)], self._drones
         if name in _PER_INSTANCE:
             array = array[:, : self._instances]
         match name:
             case "fine_range":
-                array = array.reshape(B, *fine_shape(self._config))
+                array = array.reshape(B, *self._config.fine_shape)
             case "continued_cells":
-                array = (array == _CONTINUED).reshape(B, *fine_shape(self._config))
+                array = (array == _CONTINUED).reshape(B, *self._config.fine_shape)
             case "safe_range" | "safe_direction":
-                array = array.reshape(B, part.coarse_rows, part.coarse_columns, *array.shape[2:])
+                array = array.reshape(B, COARSE_ROWS, COARSE_COLUMNS, *array.shape[2:])
             case "guide_coefficients":
                 array = np.swapaxes(array, -1, -2)
             case "stage1_cost":

@@ -13,22 +13,22 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from aero_planner.array_memory import PackedArrays, allocate, as_dict
+from aero_planner.array_memory import PackedArrays, allocate, as_dict, forget
 from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
 from aero_planner.cloud import Cloud, Points
+from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
-from aero_planner.history import History, forget_history
-from aero_planner.kernels.kernel_tuning import CPU, CUDA
+from aero_planner.device.kernel_tuning import CPU, CUDA
+from aero_planner.device.params import Params, pack
+from aero_planner.history import History, kept_arrays
 from aero_planner.kernels.mppi import fill_noise
-from aero_planner.kernels.params import Params, pack
 from aero_planner.kernels.partition import fill_directions
 from aero_planner.launch_sequence import PLAN, usable_cores
-from aero_planner.motion import Motion
-from aero_planner.pipeline import PLAN_AND_ARRIVAL, Pipeline
-from aero_planner.pipeline_records import PipelineArrays
+from aero_planner.pipeline import ARRIVAL, PLAN_AND_ARRIVAL, Pipeline
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
+from aero_planner.recorder import PlannerArrays, stage_groups
 from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
@@ -80,15 +80,14 @@ class Planner:
         self._seeds = seeds
         self._workers = 1 if self._device.is_cuda else (threads or usable_cores())
         self._config = config or PlannerConfig()
+        self._memory: SweepMemory | None = None
         self._allocate()
         self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)
         self._set_input_defaults()
         self._cloud = Cloud(batch, self._inputs.arrays.point_count)
-        self._memory: SweepMemory | None = None
         self._scanned = self._cloud.arrays
         self._params = wp.zeros(self._batch, dtype=Params, device=self._device)
         self._write_params([self._config])
-        self._motion = Motion(self._inputs.arrays, self._params)
         self._pipeline = self._make_pipeline()
 
     def _set_input_defaults(self) -> None:
@@ -101,16 +100,31 @@ class Planner:
 
     def _allocate(self) -> None:
         """Allocate the arrays whose sizes depend on the structure of the configuration."""
-        sizes = Sizes.from_config(self._config, batch=self._batch, workers=self._workers, tuning=self._tuning)
+        composition = Composition.of(self._config)
+        sizes = Sizes.from_config(
+            self._config, composition, batch=self._batch, workers=self._workers, tuning=self._tuning
+        )
         noise = _noise_table(sizes.N, sizes.T, str(self._device))
         work = allocate(Workspace, sizes, self._device, noise=noise)
-        outputs = PackedArrays(PlannerOutputs, sizes, self._device)
+        reported = {stage.name: stage.outputs for stage in composition.stages if stage.outputs is not None}
+        outputs = PackedArrays(PlannerOutputs, sizes, self._device, more=list(reported.values()))
+        reports = dict(zip(reported, outputs.more, strict=True))
+        stages = {
+            stage.name: (
+                None if stage.arrays is None else allocate(stage.arrays, sizes, self._device), reports.get(stage.name)
+            )
+            for stage in composition.stages
+        }  # fmt: skip
         # Not before: without room for new arrays, the planner goes on with the present ones and its previous plan.
-        self._sizes, self._work, self._outputs = sizes, work, outputs
+        self._composition, self._sizes, self._work, self._outputs, self._stages = (
+            composition, sizes, work, outputs, stages,
+        )  # fmt: skip
+        self._work.active.fill_(1)
         with wp.ScopedDevice(self._device):
-            wp.launch(fill_directions, (sizes.F0, sizes.F1), outputs=[work.fine_directions])
+            wp.launch(fill_directions, sizes.F, inputs=[sizes.F0, sizes.F1], outputs=[work.fine_directions])
         self._assign_seeds()
         self.reset()
+        self._forget_sweeps()
 
     def _assign_seeds(self) -> None:
         # Seeds may be of any size.
@@ -118,20 +132,22 @@ class Planner:
 
     def _make_pipeline(self) -> Pipeline:
         change = self._memory.change if self._memory is not None and self._scanned is self._memory.arrays else None
-        arrays = PipelineArrays(
-            self._inputs.arrays, self._outputs.arrays, self._work, self._scanned, change, self._motion, self._params
+        arrays = PlannerArrays(
+            self._inputs.arrays, self._outputs.arrays, self._work, self._stages, self._scanned, change, self._params
         )
-        return Pipeline(self._config, self._sizes, self._tuning, arrays)
+        return Pipeline(self._config, self._composition, self._sizes, self._tuning, arrays)
 
     def _scan(self, cloud: CloudArrays) -> None:
         """Plan from this cloud from now on."""
         if cloud is not self._scanned:
             self._scanned = cloud
-            self._forget_motion()
+            self._forget_sweeps()
             self._replace_pipeline()
 
-    def _forget_motion(self) -> None:
-        self._motion.forget()
+    def _forget_sweeps(self) -> None:
+        """Forget what is known from the sweeps so far, such as what moves among their obstacles."""
+        for group in stage_groups(self._stages):
+            forget(group, "sweeps")
         if self._memory is not None:
             self._memory.forget_motion()
 
@@ -210,18 +226,18 @@ class Planner:
             )
         before, self._config = self._config, configs[0]
         if structure != before.structure():
-            arrays = self._sizes, self._work, self._outputs
+            arrays = self._composition, self._sizes, self._work, self._outputs, self._stages
             try:
                 self._allocate()
                 self._replace_pipeline()
             except Exception:
                 self._config = before
-                self._sizes, self._work, self._outputs = arrays
+                self._composition, self._sizes, self._work, self._outputs, self._stages = arrays
                 self._replace_pipeline()
                 raise
         self._write_params(configs)
-        if self._memory is not None and configs[0].partition != before.partition:
-            self._memory.forget_motion()
+        if configs[0].to_dict() != before.to_dict():
+            self._forget_sweeps()  # they may show something else by other parameters
 
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
@@ -238,7 +254,7 @@ class Planner:
         Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`. Each drone
         forgets those before its newest `remembered` ones; None forgets none.
         """
-        self._memory = SweepMemory(self._motion, sweeps=sweeps, points=points, whole=whole, remembered=remembered)
+        self._memory = SweepMemory(self._device, self._batch, sweeps=sweeps, points=points, whole=whole, remembered=remembered)
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
@@ -256,41 +272,44 @@ class Planner:
         """
         if self._memory is None or self._scanned is not self._memory.arrays:
             raise ValueError("there is no room for sweeps; call `reserve_sweeps` first.")
-        self._memory.store(index, points, time=time)
+        self._memory.store(index, points, self._arrive, time=time)
 
     def reset(self, *, seed: int | None = None) -> None:
         """Discard the previous plan and restart the noise sequence, with another `seed` if one is given."""
         if seed is not None:
             self._seeds = seeds_of_batch(seed, len(self._seeds))
             self._assign_seeds()
-        forget_history(self._work)
+        for group in (self._work, *stage_groups(self._stages)):
+            forget(group, "plans")
 
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
-        return History.from_workspace(self._work)
+        return History.of((self._work, *stage_groups(self._stages)))
 
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
-        if history.fits(self._work):
-            history.write_to(self._work)
-        else:
+        if not history.write_to((self._work, *stage_groups(self._stages))):
             self.reset()
 
-    def launch(self, *, finished: wp.array | None = None) -> None:
+    def launch(self, *, active: wp.array | None = None) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
 
         Nothing is copied to or from the host, and on CUDA the call returns before the plan is finished.
 
         Args:
-            finished: int [B] on the device; drones with a value other than 0 are left out of this plan, to save its
-                time. What `outputs` and `command` hold for them means nothing. None plans for all drones.
+            active: mask, int [B] on the device: drones with 0 are left out of this plan, to save its time. What
+                `outputs` and `command` hold for them means nothing. None plans for all drones.
         """
-        if finished is None:
+        if active is None:
             self._pipeline.run()
             return
-        wp.copy(self._work.finished, finished)
+        wp.copy(self._work.active, active)
         self._pipeline.run()
-        self._work.finished.zero_()
+        self._work.active.fill_(1)
+
+    def _arrive(self) -> None:
+        """Run the launches of a sweep that arrives."""
+        self._pipeline.run(ARRIVAL)
 
     def plan(
         self,
@@ -365,9 +384,9 @@ class Planner:
             self.reserve_sweeps(max(len(sweeps), _MIN_SWEEPS), (sweeps.point_count + 2 * largest) * 5 // 4)
         assert self._memory is not None
         self._scan(self._memory.arrays)
-        self._memory.hold(sweeps)
-        if self._device.is_cpu or self._config.forgets_wakes:
-            self._memory.finish_change()  # before the cloud is scanned
+        self._memory.hold(sweeps, self._arrive)
+        if not sweeps:
+            self._forget_sweeps()
         return PLAN_AND_ARRIVAL if self._memory.take_change() else PLAN
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
@@ -383,17 +402,14 @@ class Planner:
     def save_graph(self, path: str | os.PathLike[str]) -> Path:
         """Save the launches of a plan for the C++ host; kernels are written to a folder next to the file.
 
-        Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", "tick",
-        "previous_controls", "previous_end", "previous_waypoint", "previous_time", "proven_stop_age", "place_count" and
-        "place_goal". The planner must have planned before and, on the CPU, have one thread.
+        Arrays are bound by their names in `PlannerInputs` and `PlannerOutputs`, and "points", "params", "seed", and
+        those of the `History`. The planner must have planned before and, on the CPU, have one thread.
 
         Returns:
             The file, with the suffix ".wrp".
         """
-        state = ("seed", "tick", "previous_controls", "previous_end", "previous_waypoint", "previous_time")
-        state += ("proven_stop_age", "place_count", "place_goal")
-        inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params}
-        inputs |= {name: getattr(self._work, name) for name in state}
+        inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params, "seed": self._work.seed}
+        inputs |= kept_arrays((self._work, *stage_groups(self._stages)))
         graph = self._pipeline.capture_graph()
         wp.capture_save(graph, os.fspath(path), inputs=inputs, outputs=as_dict(self.outputs))
         return Path(path).with_suffix(".wrp")

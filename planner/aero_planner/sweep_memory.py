@@ -6,7 +6,7 @@ import heapq
 import math
 import operator
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import takewhile
 from typing import Any, NamedTuple
 
@@ -16,16 +16,10 @@ from numpy.typing import NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate, as_dict
 from aero_planner.arrays import CloudArrays, SweepTable
-from aero_planner.kernels.movers import MOVERS
 from aero_planner.kernels.shells import COUNTERS
 from aero_planner.kernels.sweep_change import RECENT
-from aero_planner.kernels.wakes import WAKES
-from aero_planner.launch_sequence import LaunchSequence
-from aero_planner.motion import Motion
-from aero_planner.sweep_stages import SweepStages
 from aero_planner.sweeps import Arrival, Sweeps
 
-_ARRIVAL = "arrival"
 _UNKNOWN_ARRIVAL = Arrival(math.nan, (math.nan, math.nan, math.nan))
 _LEAST_PERIOD = 0.09
 """Time from one sweep to the next in which obstacles move visibly, a little less than that of a Mid-360 [s]."""
@@ -36,8 +30,6 @@ class _Sizes(NamedTuple):
     S: int
     P: int
     E: int = int(COUNTERS)
-    X: int = int(MOVERS)
-    U: int = int(WAKES)
 
 
 class _Entry(NamedTuple):
@@ -61,8 +53,6 @@ class _Change(NamedTuple):
     """The values of `kernels.sweep_change.SweepChange`."""
 
     arrived: int
-    number: int
-    oldest: int
     thinned: int
     recent: list[int]
     time: float
@@ -72,10 +62,12 @@ class _Change(NamedTuple):
 class SweepMemory:
     """Sweeps on the device. Each is copied once, when it arrives.
 
-    Then the launches of `SweepStages` find what moves, thin a sweep that has grown old, and order points by distance.
+    Then the launches of a change, those of the pipeline at the arrival of a sweep, find what moves, thin a sweep that has
+    grown old, and order points by distance.
 
     Args:
-        motion: what moves, estimated from the newest sweeps.
+        device: device of the sweeps.
+        batch: B, number of drones.
         sweeps: S, largest number of sweeps.
         points: P, room for the points of all sweeps of a drone.
         whole: number of newest sweeps that `store` keeps whole, as in `Sweeps`; None keeps all.
@@ -88,26 +80,20 @@ class SweepMemory:
 
     def __init__(
         self,
-        motion: Motion,
+        device: wp.Device,
+        batch: int,
         *,
         sweeps: int,
         points: int,
         whole: int | None = None,
         remembered: Sequence[int] | None = None,
     ) -> None:
-        device = wp.get_device(str(motion.params.device))
         self._device = device
-        self._motion = motion
-        self._sizes = sizes = _Sizes(len(motion.params), sweeps, max(points, 1))
+        self._sizes = sizes = _Sizes(batch, sweeps, max(points, 1))
         self._table = PackedArrays(SweepTable, sizes, device)
         table = as_dict(self._table.arrays)
         self.change = table.pop("change")
         self.arrays = allocate(CloudArrays, sizes, device, **table)
-        self.arrays.number.fill_(-1)
-        self._sequence = LaunchSequence(device, 1)
-        stages = SweepStages(self._sequence, self.arrays, self.change, motion)
-        launches = [*stages.estimate_motion(), *stages.thin(), *stages.order_points()]
-        self._sequence.stages[_ARRIVAL] = [LaunchSequence.serial("arrival", *launches)]
         self._next_number = 0
         self._entries: deque[_Entry] = deque()
         self._free_rows = list(range(sweeps))  # a heap
@@ -131,25 +117,25 @@ class SweepMemory:
             return True
         return len(sweeps) <= self._sizes.S and sweeps.point_count + max(map(len, sweeps), default=0) <= self._sizes.P
 
-    def hold(self, sweeps: Sweeps) -> None:
+    def hold(self, sweeps: Sweeps, run: Callable[[], None]) -> None:
         """Make the memory hold exactly these sweeps of one drone; copies those that it lacks. There must be room.
 
-        The launches of the last change are left to the caller, see `take_change` and `finish_change`.
+        Args:
+            sweeps: the sweeps.
+            run: runs the launches of a change. Those of the last change are left to the caller, see `take_change`.
         """
         if sweeps is self._held and self._is_motion_known:
             return
-        self.finish_change()
+        self.finish_change(run)
         self._open_table()
         first_new = self._next_number
         if sweeps is not self._held:
             self._take_over(list(sweeps), sweeps.arrivals, sweeps.thinned)
         for i, change in enumerate(self._list_changes(first_new, sweeps.thinned)):
             if i > 0:
-                self.finish_change()
+                self.finish_change(run)
                 self._open_table()
             self._start_change(change)
-        if not sweeps:
-            self._motion.forget()
         self._held, self._is_motion_known = sweeps, True
 
     def forget_motion(self) -> None:
@@ -161,10 +147,10 @@ class SweepMemory:
         is_due, self._is_change_due = self._is_change_due, False
         return is_due
 
-    def finish_change(self) -> None:
+    def finish_change(self, run: Callable[[], None]) -> None:
         """Run the launches of a change if they are due."""
         if self.take_change():
-            self._sequence.run(_ARRIVAL)
+            run()
 
     def _list_changes(self, first_new: int, thinned: int) -> list[_Change]:
         """Return the changes after which the sweeps from number `first_new` on are known and the oldest are thinned.
@@ -173,7 +159,6 @@ class SweepMemory:
         """
         entries = list(self._entries)
         whole = max(len(entries) - thinned, 1)
-        oldest, newest = (entries[0].number, entries[-1].number) if entries else (0, -1)
         aged = [entry.row for entry in entries[:thinned] if entry.row not in self._thinned]
         changes: list[_Change] = []
         known = len(entries) - sum(1 for _ in takewhile(lambda entry: entry.number >= first_new, reversed(entries)))
@@ -187,10 +172,10 @@ class SweepMemory:
             else:
                 old = -1
             time, position = entry.arrival or _UNKNOWN_ARRIVAL
-            changes.append(_Change(entry.row, entry.number, oldest, old, recent, time, position))
+            changes.append(_Change(entry.row, old, recent, time, position))
         recent = _recent_rows([] if changes or self._is_motion_known else entries[-whole:])
-        rest = [_Change(-1, newest, oldest, old, recent, *_UNKNOWN_ARRIVAL) for old in aged]
-        return changes + rest or [_Change(-1, newest, oldest, -1, recent, *_UNKNOWN_ARRIVAL)]
+        rest = [_Change(-1, old, recent, *_UNKNOWN_ARRIVAL) for old in aged]
+        return changes + rest or [_Change(-1, -1, recent, *_UNKNOWN_ARRIVAL)]
 
     def _start_change(self, change: _Change) -> None:
         """Copy a change to the device, with the open table; its launches are then due."""
@@ -236,12 +221,13 @@ class SweepMemory:
             counts[:, row] = 0
             heapq.heappush(self._free_rows, row)
 
-    def store(self, row: int, points: wp.array, *, time: float | None = None) -> None:
+    def store(self, row: int, points: wp.array, run: Callable[[], None], *, time: float | None = None) -> None:
         """Replace a sweep by points on the device, vec3 [B, n]; all sweeps must have the same size.
 
         Args:
             row: which of the sweeps.
             points: vec3 [B, n] [m], world frame.
+            run: runs the launches of a change.
             time: when it was complete [s]; None is the time of the inputs. The place is that of the inputs.
 
         Raises:
@@ -253,24 +239,22 @@ class SweepMemory:
                 f"sweep {row} of {points.shape[0]} drones with {size} points does not fit; there is room for "
                 f"{self._sizes.S} sweeps of {self._sizes.B} drones with {self._sizes.P} points in all."
             )
-        self.finish_change()
+        self.finish_change(run)
         place: Any = self.arrays.points[:, start : start + size]
         wp.copy(place, points)
         self._open_table()
         host = self._table.host()
         host["count"][:, row], host["start"][row] = size, start
         host["count"][self._forgetful, (row - self._remembered) % S] = 0
-        number, whole = self._next_number, self._whole or S
-        self._next_number += 1
+        whole = self._whole or S
         recent = [(row - age) % S for age in range(min(int(RECENT), whole))]
         recent = [other for other in recent if host["count"][0, other]]
         old = (row - whole) % S
         aged = old if old != row and host["count"][0, old] else -1
-        oldest = max(number - S + 1, 0)
         unknown_time, position = _UNKNOWN_ARRIVAL
         time = unknown_time if time is None else time
-        self._start_change(_Change(row, number, oldest, aged, _padded(recent), time, position))
-        self.finish_change()
+        self._start_change(_Change(row, aged, _padded(recent), time, position))
+        self.finish_change(run)
 
     def _count_kept(self, sweeps: list[NDArray[np.float32]]) -> int:
         """Return how many of the newest sweeps in the ring are the first of `sweeps`."""

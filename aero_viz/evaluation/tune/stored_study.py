@@ -13,7 +13,7 @@ from urllib.parse import quote
 import numpy as np
 
 from aero_planner import PlannerConfig
-from aero_planner.config.parameter import did_you_mean
+from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.evaluation.statistics import mean_interval, wilson_interval
 from aero_viz.evaluation.tune.objectives import UNITS, Objective, front_values, measure

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from aero_planner.config.parameter import ParameterInfo, ParameterSection, SectionedConfig, Value, did_you_mean
+from aero_planner.parameters import ParameterInfo, ParameterSection, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig

@@ -8,29 +8,26 @@ documentation are generated from the fields of the sections. Symbols are those o
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import ClassVar
 
-from aero_planner.config.parameter import ContradictionError, SectionedConfig, Value, did_you_mean
+from aero_planner.config.old_names import REMOVED, RENAMED
 from aero_planner.config.presets import PRESETS
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
 from aero_planner.config.sections.costs import CostConfig
-from aero_planner.config.sections.escape import EscapeConfig
-from aero_planner.config.sections.partition import LONGEST_MEMORY, PartitionConfig
+from aero_planner.config.sections.partition import PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
+from aero_planner.config.sections.stages import StageConfig
 from aero_planner.config.sections.vehicle import VehicleConfig
+from aero_planner.parameters import ContradictionError, SectionedConfig, Value, did_you_mean, with_sections
+from aero_planner.registry import added_sections
 
-RENAMED: dict[str, str] = {"costs.way_ahead": "costs.waypoint_distance"}
-"""New path of each renamed parameter by its old path, which files and flags accept for one release."""
-
-REMOVED: dict[str, str] = {
-    "costs.floor": "the ground height now comes from the world or the drone, and costs.use_ground enables it",
-}
-"""Reason for each removed parameter by its path, which files and flags ignore for one release."""
+COARSE_ROWS, COARSE_COLUMNS = 10, 20
+"""Coarse cells from straight down to straight up and around the horizon, each 18 deg wide, as in the paper."""
 
 
-@dataclass(frozen=True)
+@with_sections(added_sections())
 class PlannerConfig(SectionedConfig):
     """All parameters of the planner.
 
@@ -49,7 +46,7 @@ class PlannerConfig(SectionedConfig):
     candidates: CandidateConfig = field(default_factory=CandidateConfig)
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     costs: CostConfig = field(default_factory=CostConfig)
-    escape: EscapeConfig = field(default_factory=EscapeConfig)
+    stages: StageConfig = field(default_factory=StageConfig)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -57,7 +54,7 @@ class PlannerConfig(SectionedConfig):
             ("vehicle.thrust", self.vehicle.thrust_min, self.vehicle.thrust_max),
             ("costs.distance", self.costs.distance_min, self.costs.distance_max),
             ("partition.range", self.partition.range_min, self.partition.range_max),
-            ("partition.view", self.partition.view_min, self.partition.view_max),
+            ("unseen_space.view", self.unseen_space.view_min, self.unseen_space.view_max),
             ("costs.height", self.costs.height_min, self.costs.height_max),
         ):
             if low >= high:
@@ -72,8 +69,7 @@ class PlannerConfig(SectionedConfig):
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kind of each instance, length M: first the anchors, then the additional candidates."""
-        additional = ("previous",) * self.candidates.previous + ("brake",) * self.candidates.brake
-        return ("anchor",) * self.anchor_count + additional
+        return ("anchor",) * self.anchor_count + ("previous",) * self.candidates.previous
 
     @property
     def horizon(self) -> float:
@@ -81,20 +77,19 @@ class PlannerConfig(SectionedConfig):
         return self.sampling.steps * self.sampling.dt
 
     @property
+    def lookahead(self) -> float:
+        """Longest look-ahead distance, which grows with the speed limit [m]."""
+        return max(self.anchors.lookahead, self.anchors.lookahead_time * self.vehicle.speed_limit)
+
+    @property
     def farthest_range(self) -> float:
         """Range beyond which points are ignored, which grows with the speed limit [m]."""
-        return max(self.partition.range_max, self.partition.range_time * self.vehicle.speed_limit)
+        return max(self.partition.range_max, 2.0 * self.lookahead)
 
     @property
-    def memory(self) -> float:
-        """Time for which a simulated flight remembers sweeps, which is longer at a low speed limit [s]."""
-        flown = min(self.partition.memory_distance / self.vehicle.speed_limit, LONGEST_MEMORY)
-        return max(self.partition.memory_time, flown)
-
-    @property
-    def forgets_wakes(self) -> bool:
-        """True if points are left out that obstacles have left behind, see `kernels.wakes`."""
-        return self.partition.predict and self.vehicle.speed_limit < self.partition.predict_wake_speed
+    def fine_shape(self) -> tuple[int, int]:
+        """Number of rows and columns of fine cells."""
+        return COARSE_ROWS * self.partition.fine_cells, COARSE_COLUMNS * self.partition.fine_cells
 
     def structure(self) -> tuple[tuple[str, Value], ...]:
         """Return path and value of each structural parameter; configurations of equal structure can share buffers."""

@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from aero_planner.config.parameter import Value
+from aero_planner.parameters import Value
 
 _MAX_DEPTH = 8
 _HINT = "write 'section:' or, indented by two spaces, 'name: value'"

@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner.config import PlannerConfig
-from aero_planner.kernels.kernel_tuning import CPU, CUDA
+from aero_planner.device.kernel_tuning import CPU, CUDA
 from aero_planner.pipeline import tuned_kernels
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner

@@ -14,10 +14,11 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.params import Params
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
 from aero_planner.kernels.partition import cells_of_thread, farthest
-from aero_planner.kernels.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
+from aero_planner.device.records import Cells, Problem, grid_struct
+from aero_planner.device.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
 
 wp.set_module_options({"enable_backward": False})
 
@@ -43,10 +44,7 @@ def safety_limit(params: Params) -> float:
 @wp.func
 def cell_size(params: Params) -> float:
     """Return the width of a cell [m]."""
-    return wp.max(
-        wp.max(params.distance_max, params.blocked_radius),
-        wp.max(safety_limit(params), 2.0 * farthest(params) / float(GRID - 2)),
-    )
+    return wp.max(params.distance_max, wp.max(safety_limit(params), 2.0 * farthest(params) / float(GRID - 2)))
 
 
 @wp.func
@@ -71,13 +69,12 @@ def count_points(
     workers: int,
     cells_per_thread: int,
     # problem
-    position: wp.array(dtype=wp.vec3),
+    problem: Problem,
     # configuration
     params: wp.array(dtype=Params),
     duplicate_rows: int,
     # in
-    occupied: wp.array2d(dtype=int),
-    filtered_points: wp.array2d(dtype=wp.vec3),
+    cells: Cells,
     # out
     cell_ends: wp.array2d(dtype=int),
 ):
@@ -86,12 +83,12 @@ def count_points(
     Launched over [B, threads], see `cells_of_thread`. A worker handles every `workers`-th layer of the grid.
     """
     b, thread = wp.tid()
-    center = position[b]
+    center = problem.position[b]
     size = cell_size(params[b])
-    first, end = cells_of_thread(thread, 0, 1, cells_per_thread, occupied.shape[1])
+    first, end = cells_of_thread(thread, 0, 1, cells_per_thread, cells.rows * cells.columns)
     for i in range(first, end):
-        if occupied[b, i] != 0:
-            cx, cy, cz = cell_of_point(filtered_points[b, i], center, size)
+        if cells.occupied[b, i] != 0:
+            cx, cy, cz = cell_of_point(cells.points[b, i], center, size)
             for z in range(cz - 1, cz + 2):
                 if workers == 1 or z % workers == worker:
                     for y in range(cy - duplicate_rows, cy + duplicate_rows + 1):
@@ -147,13 +144,12 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
         worker_capacity: int,
         cells_per_thread: int,
         # problem
-        position: wp.array(dtype=wp.vec3),
+        problem: Problem,
         # configuration
         params: wp.array(dtype=Params),
         duplicate_rows: int,
         # in
-        occupied: wp.array2d(dtype=int),
-        filtered_points: wp.array2d(dtype=wp.vec3),
+        cells: Cells,
         points_used: wp.array2d(dtype=int),
         # in and out
         cell_ends: wp.array2d(dtype=int),
@@ -170,12 +166,12 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
             used = worker * worker_capacity + points_used[worker, b]
             for slot in range(used, (used + WIDTH - 1) // WIDTH * WIDTH):
                 pack_coordinates[b, slot // WIDTH, 0, slot % WIDTH] = FAR
-        center = position[b]
+        center = problem.position[b]
         size = cell_size(params[b])
-        first, end = cells_of_thread(thread, 0, 1, cells_per_thread, occupied.shape[1])
+        first, end = cells_of_thread(thread, 0, 1, cells_per_thread, cells.rows * cells.columns)
         for i in range(first, end):
-            if occupied[b, i] != 0:
-                point = filtered_points[b, i]
+            if cells.occupied[b, i] != 0:
+                point = cells.points[b, i]
                 cx, cy, cz = cell_of_point(point, center, size)
                 for z in range(cz - 1, cz + 2):
                     if workers == 1 or z % workers == worker:
@@ -251,19 +247,11 @@ def clearance_at(width: int, threads: int) -> wp.Function:
     minimum, scan, reduce = minimum_over(threads), scan_packs(width, threads), smallest(width)
     WIDTH = wp.constant(width)
     Reals: Any = wp.types.vector(length=width, dtype=wp.float32)
-    Pack: Any = point_pack(width)
+    Grid: Any = grid_struct(width)
 
     @wp.func
     def clearance_at(
-        x: wp.vec3,
-        limit: float,
-        b: int,
-        thread: int,
-        center: wp.vec3,
-        size: float,
-        duplicate_rows: int,
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
+        x: wp.vec3, limit: float, b: int, thread: int, center: wp.vec3, size: float, grid: Grid
     ) -> float:
         """Return the smaller of `limit` and the distance from x to the nearest point [m].
 
@@ -274,15 +262,15 @@ def clearance_at(width: int, threads: int) -> wp.Function:
             return limit
         # The limit in cells.
         limit_x = limit / size + ROUNDING
-        limit_y = wp.where(duplicate_rows == 0, limit_x, 0.0)
+        limit_y = wp.where(grid.duplicate_rows == 0, limit_x, 0.0)
         best = Reals(limit * limit)
         for y in range(int(wp.max(c[1] - limit_y, 0.0)), int(wp.min(c[1] + limit_y, float(GRID - 1))) + 1):
             row = (int(c[2]) * GRID + y) * GRID
             # The first cell of a row is empty, so its end is the begin of the row.
-            first = cell_ends[b, row + int(wp.max(c[0] - limit_x - 1.0, 0.0))]
-            last = cell_ends[b, row + int(wp.min(c[0] + limit_x, float(GRID - 1)))]
+            first = grid.ends[b, row + int(wp.max(c[0] - limit_x - 1.0, 0.0))]
+            last = grid.ends[b, row + int(wp.min(c[0] + limit_x, float(GRID - 1)))]
             if first < last:
-                best = scan(best, x, b, first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, point_packs)
+                best = scan(best, x, b, first // WIDTH + thread, (last + WIDTH - 1) // WIDTH, grid.packs)
         nearest = minimum(reduce(best))
         return wp.where(nearest < limit * limit, wp.sqrt(nearest), limit)
 
@@ -307,5 +295,5 @@ def query_limit(t: int, steps: int, params: Params) -> float:
     Rows from `steps` on are probes of the cost-to-go.
     """
     if t >= steps:
-        return params.blocked_radius
+        return params.distance_min
     return wp.max(params.distance_max, safety_limit(params))

@@ -11,28 +11,12 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.costs import (
-    control_cost,
-    control_rate_cost,
-    goal_cost,
-    jump_cost,
-    speed_cost,
-    track_cost,
-    vnorm_cost,
-)
-from aero_planner.kernels.dynamics import (
-    clamp_control,
-    lag_shares,
-    lagged_control,
-    mean_lag_shares,
-    rk4_step,
-    thrust_free_acceleration,
-)
-from aero_planner.kernels.escape import Escape, escape_cost
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import DroneState, GoalState
-from aero_planner.kernels.warp_ops import minimum_over, read_values, sum_over, synchronize_block
+from aero_planner.composition import Composition
+from aero_planner.costs.cost_term import End, Step
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.device.records import Problem, Start
+from aero_planner.device.warp_ops import minimum_over, read_values, sum_over, synchronize_block
 
 wp.set_module_options({"enable_backward": False})
 
@@ -71,36 +55,23 @@ def random_sign(bits: int, i: int) -> float:
 
 
 @wp.func
-def probe_position(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, j: int, params: Params) -> wp.vec3:
-    """Return the centre of segment j of the path from p by the waypoint to the goal; it has PROBES equal segments."""
-    to_waypoint = waypoint - p
-    to_goal = goal - waypoint
-    first = wp.length(to_waypoint)
-    second = wp.length(to_goal)
-    s = (float(j) + 0.5) / float(PROBES) * wp.min(params.blocked_range, first + second)
-    before = p + (s / wp.max(first, 1.0e-6)) * to_waypoint
-    after = waypoint + ((s - first) / wp.max(second, 1.0e-6)) * to_goal
-    return wp.where(s <= first, before, after)
-
-
-@wp.func
-def blocked_cost(p: wp.vec3, waypoint: wp.vec3, goal: wp.vec3, blocked: int, params: Params) -> float:
-    """Return the cost-to-go, an option that the paper does not have.
-
-    It is q_blocked times the blocked length of the path from the final state p to the goal; `blocked` of its PROBES
-    segments are blocked.
-    """
-    length = wp.min(params.blocked_range, wp.length(waypoint - p) + wp.length(goal - waypoint))
-    return params.q_blocked * length * float(blocked) / float(PROBES)
+def probe_position(p: wp.vec3, goal: wp.vec3, j: int, params: Params) -> wp.vec3:
+    """Return the centre of segment j of the straight path from p to the goal, as far as the look-ahead distance."""
+    to_goal = goal - p
+    distance = wp.length(to_goal)
+    s = (float(j) + 0.5) / float(PROBES) * wp.min(params.lookahead, distance)
+    return p + (s / wp.max(distance, 1.0e-6)) * to_goal
 
 
 @functools.cache
-def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
+def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that rolls out the samples, `tuning.samples_per_thread` in each thread."""
     WIDTH = wp.constant(tuning.samples_per_thread)
     Reals: Any = wp.types.vector(length=tuning.samples_per_thread, dtype=wp.float32)
     Controls: Any = wp.types.matrix(shape=(4, tuning.samples_per_thread), dtype=wp.float32)
     States: Any = wp.types.matrix(shape=(10, tuning.samples_per_thread), dtype=wp.float32)
+    model, running_cost = composition.model, composition.running1
+    constants, step, clamp, deviation = model.constants, model.step, model.clamp, model.noise
 
     @wp.kernel(module="unique", enable_backward=False)
     def sample_rollouts(
@@ -109,9 +80,8 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         instances: int,
         previous_index: int,
         # problem
-        finished: wp.array(dtype=int),
-        drone: DroneState,
-        goal: GoalState,
+        problem: Problem,
+        start: Start,
         # configuration
         params: wp.array(dtype=Params),
         # in
@@ -119,14 +89,13 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         tick: wp.array(dtype=int),
         noise_table: wp.array3d(dtype=Reals),
         guides: wp.array3d(dtype=wp.vec3),
-        waypoints: wp.array2d(dtype=wp.vec3),
         nominal_controls: wp.array3d(dtype=wp.vec4),
         # out
         sample_controls: wp.array4d(dtype=Reals),
         sample_positions: wp.array4d(dtype=Reals),
         stage1_cost: wp.array2d(dtype=Reals),
     ):
-        """Roll out noisy, clamped controls and sum S1 without the terms that need the clearance.
+        """Roll out noisy, clamped controls and sum the running terms of S1.
 
         Samples come in vectors of WIDTH: `sample_controls` is [B M, N, 4, K], `sample_positions` [B M, N + PROBES, 3,
         K], `noise_table` [N, 4, NOISE_ROWS]. Launched over [instances of this chunk, K / WIDTH].
@@ -134,31 +103,24 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         offset, group = wp.tid()
         i = first_instance + offset
         b = i // instances
-        if finished[b] != 0:
+        if problem.active[b] == 0:
             return
         m = i % instances
         c = params[b]
         steps = sample_controls.shape[1]
-        draw = int(0)
-        if c.fresh_noise != 0:
-            draw = tick[b]
-        bits = int(wp.rand_init(seed[b] + 7919 * draw, m) & wp.uint32(0x7FFFFFFF))
+        bits = int(wp.rand_init(seed[b] + 7919 * tick[b], m) & wp.uint32(0x7FFFFFFF))
         row = (bits % (NOISE_ROWS // NOISE_STEP) * (NOISE_STEP // WIDTH) + group) % (NOISE_ROWS // WIDTH)
-        sigma = wp.vec4(
-            random_sign(bits, 16) * wp.sqrt(c.variance_thrust),
-            random_sign(bits, 17) * wp.sqrt(c.variance_rate_xy),
-            random_sign(bits, 18) * wp.sqrt(c.variance_rate_xy),
-            random_sign(bits, 19) * wp.sqrt(c.variance_rate_z),
-        )
-        track = float(1.0)
-        if m == previous_index:
-            track = float(0.0)
-        p_goal = goal.position[b]
-        v_goal = goal.velocity[b]
-        q_goal = goal.quaternion[b]
-        p0 = drone.position[b]
-        v0 = drone.velocity[b]
-        q0 = drone.quaternion[b]
+        signs = wp.vec4(random_sign(bits, 16), random_sign(bits, 17), random_sign(bits, 18), random_sign(bits, 19))
+        sigma = wp.cw_mul(signs, deviation(c))
+        s = Step()
+        s.last = steps - 1
+        s.is_guided = wp.where(m == previous_index, 0, 1)
+        s.p_goal = problem.goal[b]
+        s.v_goal = start.goal_velocity[b]
+        s.q_goal = start.goal_quaternion[b]
+        p0 = start.position[b]
+        v0 = start.velocity[b]
+        q0 = start.quaternion[b]
         x = States()
         for j in range(WIDTH):
             for axis in range(3):
@@ -166,21 +128,15 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
                 x[3 + axis, j] = v0[axis]
             for axis in range(4):
                 x[6 + axis, j] = q0[axis]
-        shares = lag_shares(c.dt, c)
-        mean_shares = mean_lag_shares(shares, c.dt, c)
-        g = thrust_free_acceleration(drone.disturbance[b], c)
-        drag = drone.drag[b]
+        k = constants(start.disturbance[b], start.drag[b], c.dt, c)
         noise = Controls()
         u = Controls()
         acting = Controls()
         for j in range(WIDTH):
             for axis in range(4):
-                acting[axis, j] = drone.control[b][axis]
-                u[axis, j] = drone.command[b][axis]
+                acting[axis, j] = start.control[b][axis]
+                u[axis, j] = start.command[b][axis]
         S = Reals()
-        noisy = Reals(1.0)
-        if group == 0 and c.keep_nominal != 0:
-            noisy[0] = 0.0
         innovation = float(1.0)
         u_next = nominal_controls[b, m, 0]
         p_next = guides[b, m, 1]
@@ -189,7 +145,8 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
             drawn_next[axis] = noise_table[0, axis, row]
         for t in range(steps):
             u_nominal = u_next
-            p_guide = p_next
+            s.t = t
+            s.p_guide = p_next
             drawn = drawn_next
             # The next step is read in advance, so that a GPU does not wait for memory at every step.
             t_next = wp.min(t + 1, steps - 1)
@@ -197,37 +154,25 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
             p_next = guides[b, m, t_next + 1]
             for axis in range(4):
                 drawn_next[axis] = noise_table[t_next, axis, row]
-            # J_ctrl excludes the last control, and the change to the first one, which has its own cost.
-            counted = wp.where(t < steps - 1, 1.0, 0.0)
-            change_weight = wp.where(t > 0, counted * c.q_control_rate, 0.0)
-            jump_weight = wp.where(t > 0, 0.0, c.q_control_jump)
             for j in range(WIDTH):
                 # AR(1) noise; the innovations are scaled so that its variance does not depend on the correlation.
                 e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + innovation * wp.vec4(
                     drawn[0, j], drawn[1, j], drawn[2, j], drawn[3, j]
                 )
-                u_t = clamp_control(u_nominal + noisy[j] * wp.cw_mul(sigma, e), c)
-                u_before = wp.vec4(u[0, j], u[1, j], u[2, j], u[3, j])
+                s.u = clamp(u_nominal + wp.cw_mul(sigma, e), c)
+                s.u_before = wp.vec4(u[0, j], u[1, j], u[2, j], u[3, j])
                 p = wp.vec3(x[0, j], x[1, j], x[2, j])
                 v = wp.vec3(x[3, j], x[4, j], x[5, j])
                 q = wp.vec4(x[6, j], x[7, j], x[8, j], x[9, j])
                 a = wp.vec4(acting[0, j], acting[1, j], acting[2, j], acting[3, j])
-                mean = lagged_control(u_t, a, mean_shares)
-                a = lagged_control(u_t, a, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, g, drag, c.dt)
-                S[j] = (
-                    S[j]
-                    + counted * control_cost(u_t, c)
-                    + control_rate_cost(u_t, u_before, change_weight)
-                    + jump_cost(u_t, u_before, jump_weight)
-                    + track * track_cost(p, p_guide, c)
-                    + vnorm_cost(v, c)
-                    + goal_cost(p, v, q, p_goal, v_goal, q_goal, c)
-                    + speed_cost(v, c)
-                )
+                p, v, q, a = step(p, v, q, a, s.u, k)
+                s.p = p
+                s.v = v
+                s.q = q
+                S[j] = S[j] + running_cost(s, c)
                 for axis in range(4):
                     noise[axis, j] = e[axis]
-                    u[axis, j] = u_t[axis]
+                    u[axis, j] = s.u[axis]
                     acting[axis, j] = a[axis]
                     x[6 + axis, j] = q[axis]
                 for axis in range(3):
@@ -242,7 +187,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
         if c.q_blocked > 0.0:
             for segment in range(PROBES):
                 for j in range(WIDTH):
-                    position = probe_position(wp.vec3(x[0, j], x[1, j], x[2, j]), waypoints[b, m], p_goal, segment, c)
+                    position = probe_position(wp.vec3(x[0, j], x[1, j], x[2, j]), s.p_goal, segment, c)
                     for axis in range(3):
                         u[axis, j] = position[axis]
                 for axis in range(3):
@@ -252,7 +197,7 @@ def sample_rollouts(tuning: KernelTuning) -> wp.Kernel:
 
 
 @functools.cache
-def update_controls(tuning: KernelTuning) -> wp.Kernel:
+def update_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that completes S1 and updates the nominal controls, with a thread block per instance."""
     lanes = min(tuning.threads_per_update, 32)
     shares = 4 if tuning.is_cuda else 1  # threads that share the costs of one sample
@@ -262,6 +207,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
     Reals: Any = wp.types.vector(length=tuning.samples_per_read, dtype=wp.float32)
     Sums: Any = wp.types.matrix(shape=(READ_AHEAD, tuning.samples_per_read), dtype=wp.float32)
     read = read_values(tuning.samples_per_read)
+    Views, terminal_cost = composition.Views, composition.terminal1
 
     @wp.kernel(module="unique", enable_backward=False)
     def update_controls(
@@ -269,13 +215,11 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         first_instance: int,
         instances: int,
         # problem
-        finished: wp.array(dtype=int),
-        goal_position: wp.array(dtype=wp.vec3),
+        problem: Problem,
         # configuration
         params: wp.array(dtype=Params),
         # in
-        escape: Escape,
-        waypoints: wp.array2d(dtype=wp.vec3),
+        views: Views,
         nominal_controls: wp.array3d(dtype=float),
         sample_controls: wp.array3d(dtype=Reals),
         sample_positions: wp.array4d(dtype=float),
@@ -287,7 +231,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         weight_vectors: wp.array2d(dtype=Reals),
         controls: wp.array3d(dtype=float),
     ):
-        """Add the terms of S1 that need the clearance, and update the nominal controls by the softmin of the samples.
+        """Complete S1 by the terms that need the clearance, and update the nominal controls by the samples' softmin.
 
         w_k = exp(-(S_k - min S) / lambda) / sum; controls = nominal + sum_k w_k (u_k - nominal): the update uses the
         noise as it acted, after the clamp. Time steps and control components of `nominal_controls`, `controls` and
@@ -298,7 +242,7 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         offset, thread = wp.tid()
         i = first_instance + offset
         b = i // instances
-        if finished[b] != 0:
+        if problem.active[b] == 0:
             return
         m = i % instances
         samples = sample_clearance_cost.shape[2]
@@ -307,9 +251,12 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
         rows = wp.where(params[b].q_blocked > 0.0, sample_clearance_cost.shape[1], steps)
         lowest = float(wp.INF)
         share = thread % SHARES
+        e = End()
+        e.b = b
+        e.p_goal = problem.goal[b]
         for k in range(thread // SHARES, samples, THREADS // SHARES):
             S = stage1_cost[i, k]
-            end = wp.vec3(
+            e.p = wp.vec3(
                 sample_positions[i, steps - 1, 0, k],
                 sample_positions[i, steps - 1, 1, k],
                 sample_positions[i, steps - 1, 2, k],
@@ -327,9 +274,8 @@ def update_controls(tuning: KernelTuning) -> wp.Kernel:
             S += sum_of_shares(J_col)
             blocked = sum_of_shares(blocked)
             if share == 0:  # one of the threads completes the cost, and uses it below
-                if params[b].q_blocked > 0.0:
-                    S += blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), params[b])
-                S += escape_cost(end, b, escape, params[b])
+                e.blocked = blocked / float(PROBES)
+                S += terminal_cost(e, views, params[b])
                 stage1_cost[i, k] = S
                 lowest = wp.min(lowest, S)
         lowest = block_minimum(lowest)

@@ -11,13 +11,13 @@ import functools
 
 import warp as wp
 
-from aero_planner.kernels.dynamics import near_atan2, quat_rotate
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import CloudSweeps
+from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.device.records import Cells, CloudSweeps, Problem
+from aero_planner.device.rotations import near_atan2, quat_rotate
 from aero_planner.kernels.shells import SHELLS, last_shell
-from aero_planner.kernels.wakes import forgets_wakes, is_in_wake
-from aero_planner.kernels.warp_ops import add_count, minimum_over, near_root, read_key, read_vector
+from aero_planner.device.warp_ops import add_count, minimum_over, near_root, read_key, read_vector
 
 wp.set_module_options({"enable_backward": False})
 
@@ -25,10 +25,20 @@ EMPTY = wp.constant(wp.uint64(0))
 """Key of a fine cell that holds no point: less than all others, and zero, so that a memory fill resets the keys."""
 
 
+ROWS, COLUMNS = wp.constant(COARSE_ROWS), wp.constant(COARSE_COLUMNS)
+"""Rows and columns of coarse cells."""
+
+
+@wp.func
+def longest_lookahead(params: Params) -> float:
+    """Return the longest look-ahead distance, which grows with the speed limit [m]."""
+    return wp.max(params.lookahead, params.lookahead_time * params.speed_limit)
+
+
 @wp.func
 def farthest(params: Params) -> float:
     """Return the range beyond which points are ignored [m]."""
-    return wp.max(params.range_max, params.range_time * params.speed_limit)
+    return wp.max(params.range_max, 2.0 * longest_lookahead(params))
 
 
 @wp.func
@@ -73,10 +83,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         worker: int,
         stride: int,
         # problem
-        finished: wp.array(dtype=int),
+        problem: Problem,
         cloud: CloudSweeps,
-        position: wp.array(dtype=wp.vec3),
-        quaternion: wp.array(dtype=wp.vec4),
         # configuration
         params: wp.array(dtype=Params),
         rows: int,
@@ -90,11 +98,11 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         The upper half of a key is the range, the lower half the place of the point in the cloud, both inverted: of the
         nearest points the first one has the largest key. Of an ordered sweep only the shells within reach are read. Of
         others most points are out of range; they are skipped before the cells of WIDTH points are computed at once.
-        Points in the wakes of a sweep are left out. Workers run at the same time, each on its own keys.
+        Workers run at the same time, each on its own keys.
         Launched over [B, sweeps, threads per sweep]. A thread handles every `stride`-th group of WIDTH points.
         """
         b, sweep, thread = wp.tid()
-        if finished[b] != 0:
+        if problem.active[b] == 0:
             return
         count = cloud.count[b, sweep]
         if count == 0:
@@ -102,7 +110,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         first = cloud.start[sweep]
         oldest = cloud.oldest[0]
         ordered = cloud.is_ordered[sweep] != 0
-        origin = position[b]
+        origin = problem.position[b]
         range_max = farthest(params[b])
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
@@ -113,12 +121,11 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         groups = (count + WIDTH - 1) // WIDTH
         if worker + thread >= groups:
             return
-        q = wp.normalize(quaternion[b])
+        q = wp.normalize(problem.quaternion[b])
         forward = quat_rotate(q, wp.vec3(1.0, 0.0, 0.0))
         left = quat_rotate(q, wp.vec3(0.0, 1.0, 0.0))
         up = quat_rotate(q, wp.vec3(0.0, 0.0, 1.0))
         range_min = params[b].range_min
-        wake_count = wp.where(forgets_wakes(params[b]), cloud.wake_count[b, sweep], 0)
         range_squared = 1.0001 * range_max * range_max  # with a margin for rounding
         dx = Reals()
         dy = Reals()
@@ -173,8 +180,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                 for j in range(present):
                     cell = cell_of[j]
                     if cell >= NEAR_EDGE:
-                        d = wp.vec3(dx[j], dy[j], dz[j])
                         if cell == NEAR_EDGE:
+                            d = wp.vec3(dx[j], dy[j], dz[j])
                             body = wp.vec3(wp.dot(forward, d), wp.dot(left, d), wp.dot(up, d))
                             row_of, column_of = cell_of_direction(body, rows, columns)
                             cell = row_of * columns + column_of
@@ -183,8 +190,7 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                             place += cloud.points.shape[1]
                         # The bits of non-negative floats have the order of the floats.
                         key = ~((wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place))
-                        is_nearest = key > read_key(cell_keys, worker, b, cell)
-                        if is_nearest and not is_in_wake(origin + d, b, sweep, wake_count, cloud):
+                        if key > read_key(cell_keys, worker, b, cell):
                             wp.atomic_max(cell_keys, worker, b, cell, key)
                 waiting -= present
                 if wp.static(not tuning.is_cuda):
@@ -219,9 +225,7 @@ def finish_fine_cells(
     # in and reset
     worker_dropped: wp.array2d(dtype=int),
     # out
-    fine_range: wp.array2d(dtype=float),
-    occupied: wp.array2d(dtype=int),
-    filtered_points: wp.array2d(dtype=wp.vec3),
+    cells: Cells,
     dropped_points: wp.array(dtype=int),
 ):
     """Merge the keys and counters of all workers into ranges, filtered cloud and the number of dropped points.
@@ -229,7 +233,7 @@ def finish_fine_cells(
     Counters are reset for the next plan. Launched over [B, threads], see `cells_of_thread`.
     """
     b, thread = wp.tid()
-    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, fine_range.shape[1])
+    first, end = cells_of_thread(thread, worker, workers, cells_per_thread, cells.rows * cells.columns)
     if first == 0:
         count = int(0)
         for scanned in range(cell_keys.shape[0]):
@@ -242,22 +246,22 @@ def finish_fine_cells(
         for scanned in range(cell_keys.shape[0]):
             key = wp.max(key, cell_keys[scanned, b, cell])
         if key == EMPTY:
-            fine_range[b, cell] = empty_range
-            occupied[b, cell] = 0
+            cells.range[b, cell] = empty_range
+            cells.occupied[b, cell] = 0
         else:
-            fine_range[b, cell] = wp.cast(wp.uint32(~key >> wp.uint64(32)), float)
-            occupied[b, cell] = 1
+            cells.range[b, cell] = wp.cast(wp.uint32(~key >> wp.uint64(32)), float)
+            cells.occupied[b, cell] = 1
             index = int(~key & wp.uint64(0xFFFFFFFF)) + cloud.oldest[0]
             if index >= cloud.points.shape[1]:
                 index -= cloud.points.shape[1]
-            filtered_points[b, cell] = cloud.points[b, index]
+            cells.points[b, cell] = cloud.points[b, index]
 
 
 @wp.kernel
-def fill_directions(directions: wp.array2d(dtype=wp.vec3)):
-    """Write the directions of the centres of all fine cells. Launched over [rows, columns]."""
-    row, column = wp.tid()
-    directions[row, column] = cell_direction(row, column, directions.shape[0], directions.shape[1])
+def fill_directions(rows: int, columns: int, directions: wp.array(dtype=wp.vec3)):
+    """Write the directions of the centres of all fine cells. Launched over [F]."""
+    i = wp.tid()
+    directions[i] = cell_direction(i // columns, i % columns, rows, columns)
 
 
 @functools.cache
@@ -270,31 +274,24 @@ def safest_fine_cell(lanes: int) -> wp.Function:
 
     @wp.func
     def safest_fine_cell(
-        fine_range: wp.array2d(dtype=float),
-        directions: wp.array2d(dtype=wp.vec3),
-        b: int,
-        lane: int,
-        coarse_row: int,
-        coarse_column: int,
-        fine_cells: int,
-        toward: wp.vec3,
+        cells: Cells, b: int, lane: int, coarse_row: int, coarse_column: int, toward: wp.vec3
     ):
         """Return the largest range in a coarse cell and its direction; among equal ranges that nearest to `toward`."""
-        columns = directions.shape[1]
+        fine_cells = cells.rows // ROWS
         best_range = float(-1.0)
         best_cosine = float(-2.0)
         best_cell = int(0)
         r = Reals()
         cosine = Reals()
-        cells = fine_cells * fine_cells
-        for first in range(lane, cells, LANES * WIDTH):
+        count = fine_cells * fine_cells
+        for first in range(lane, count, LANES * WIDTH):
             for k in range(WIDTH):
                 # Past the end the first cell is read again, which changes nothing.
-                i = wp.where(first + k * LANES < cells, first + k * LANES, first)
+                i = wp.where(first + k * LANES < count, first + k * LANES, first)
                 row = coarse_row * fine_cells + i // fine_cells
-                column = coarse_column * fine_cells + i % fine_cells
-                r[k] = fine_range[b, row * columns + column]
-                cosine[k] = wp.dot(directions[row, column], toward)
+                cell = row * cells.columns + coarse_column * fine_cells + i % fine_cells
+                r[k] = cells.range[b, cell]
+                cosine[k] = wp.dot(cells.directions[cell], toward)
             for k in range(WIDTH):
                 # The margin makes the first of several equally near cells win in spite of rounding.
                 if r[k] > best_range or (r[k] == best_range and cosine[k] > best_cosine + _SAME_COSINE):
@@ -308,7 +305,7 @@ def safest_fine_cell(lanes: int) -> wp.Function:
             best_cell = int(minimum(wp.where(is_best, float(best_cell), wp.INF)))
             best_range = largest
         row = coarse_row * fine_cells + best_cell // fine_cells
-        best_direction = directions[row, coarse_column * fine_cells + best_cell % fine_cells]
+        best_direction = cells.directions[row * cells.columns + coarse_column * fine_cells + best_cell % fine_cells]
         return best_range, best_direction
 
     return safest_fine_cell
@@ -319,13 +316,8 @@ _safest = safest_fine_cell(1)
 
 @wp.kernel
 def pool_coarse(
-    # configuration
-    fine_cells: int,
-    coarse_rows: int,
-    coarse_columns: int,
     # in
-    fine_range: wp.array2d(dtype=float),
-    directions: wp.array2d(dtype=wp.vec3),
+    cells: Cells,
     initial_directions: wp.array2d(dtype=wp.vec3),
     # out
     safe_range: wp.array2d(dtype=float),
@@ -336,15 +328,15 @@ def pool_coarse(
     Ties are broken toward the first anchor in the cell, or toward the centre of a cell without an anchor.
     """
     b, cell = wp.tid()
-    coarse_row = cell // coarse_columns
-    coarse_column = cell % coarse_columns
-    toward = cell_direction(coarse_row, coarse_column, coarse_rows, coarse_columns)
+    coarse_row = cell // COLUMNS
+    coarse_column = cell % COLUMNS
+    toward = cell_direction(coarse_row, coarse_column, ROWS, COLUMNS)
     anchor_count = initial_directions.shape[1]
     for reverse in range(anchor_count):
         d = initial_directions[b, anchor_count - 1 - reverse]
-        row, column = cell_of_direction(d, coarse_rows, coarse_columns)
+        row, column = cell_of_direction(d, ROWS, COLUMNS)
         if row == coarse_row and column == coarse_column:
             toward = d
-    best_range, best_direction = _safest(fine_range, directions, b, 0, coarse_row, coarse_column, fine_cells, toward)
+    best_range, best_direction = _safest(cells, b, 0, coarse_row, coarse_column, toward)
     safe_range[b, cell] = best_range
     safe_direction[b, cell] = best_direction

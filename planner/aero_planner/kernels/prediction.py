@@ -1,152 +1,154 @@
 """Prediction of the state at which a plan takes effect: commands act on the drone with a delay."""
 
-from __future__ import annotations
+# Postponed annotations are left out: kernels made for a composition refer to local types.
+
+import functools
 
 import warp as wp
 
-from aero_planner.kernels.anchors import flown_controls, time_since_plan
-from aero_planner.kernels.dynamics import (
-    lag_share,
-    lag_shares,
-    lagged_control,
-    mean_lag_shares,
-    rk4_step,
-    thrust_axis,
-    thrust_free_acceleration,
-)
-from aero_planner.kernels.guides import mean_control
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import DroneState, PreviousPlan
+from aero_planner.composition import Composition
+from aero_planner.device.hook_records import Estimate
+from aero_planner.device.params import Params
+from aero_planner.device.records import PreviousPlan, Problem, Start
+from aero_planner.models.vehicle_model import VehicleModel
 
 wp.set_module_options({"enable_backward": False})
 
 _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
-_LARGEST_DRAG = wp.constant(0.5)
-"""Largest drag that is believed [1/s]."""
-_HALF_BELIEVED_SPEED = wp.constant(1.0)
-"""Speed of flights at which half of the estimated drag is believed [m/s]: slow flights hardly show it."""
-_LARGEST_DISTURBANCE = wp.constant(3.0)
-"""Largest unexplained acceleration that is believed [m/s^2]: the drone may not fly what was planned."""
 
 
 @wp.func
-def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp.vec4:
-    """Return an attitude that follows q and is older by `lag` [s] on average; `before` is that of `since` [s] ago."""
-    if not since >= 0.0:  # also if there is no plan before
-        return q
-    nearest = wp.where(wp.dot(before, q) < 0.0, -before, before)
-    share = since / wp.max(since + lag, 1.0e-6)
-    return wp.normalize(nearest + share * (q - nearest))
+def time_since_plan(b: int, time: wp.float64, previous: PreviousPlan, params: Params) -> float:
+    """Return the time since the previous plan [s]; NaN if there is none."""
+    # The difference is taken in float64, since stamps may count from 1970.
+    elapsed = float(time - previous.time[b])
+    if wp.isnan(time) and not wp.isnan(previous.time[b]):
+        elapsed = params.replan_period
+    return elapsed
 
 
-@wp.func
-def believed_disturbance(d: wp.vec3) -> wp.vec3:
-    """Return a disturbance, shortened to `_LARGEST_DISTURBANCE`."""
-    return (_LARGEST_DISTURBANCE / wp.max(wp.length(d), _LARGEST_DISTURBANCE)) * d
+@functools.cache
+def flown_controls(model: VehicleModel) -> wp.Function:
+    """Return the function that follows the commands of the previous plan."""
+    hover, respond = model.hover, model.respond
+
+    @wp.func
+    def flown_controls(b: int, elapsed: float, previous: PreviousPlan, params: Params):
+        """Return command and control in effect when the previous plan has been flown for a time [s]; hover if not."""
+        command = hover(params)
+        control = command
+        steps = previous.controls.shape[1]
+        if elapsed >= 0.0 and elapsed < float(steps) * params.dt:
+            control = previous.start_control[b]
+            whole = int(elapsed / params.dt)
+            for t in range(whole):
+                control = respond(previous.controls[b, t], control, params.dt, params)
+            command = previous.controls[b, wp.min(whole, steps - 1)]
+            control = respond(command, control, elapsed - float(whole) * params.dt, params)
+        return command, control
+
+    return flown_controls
 
 
-@wp.func
-def drag_sample(unexplained: wp.vec3, v: wp.vec3) -> wp.vec2:
-    """Return -a v and v^2 of an unexplained acceleration a; their means have the drag as their ratio.
+@functools.cache
+def mean_control(model: VehicleModel) -> wp.Function:
+    """Return the function that finds the mean of a sequence of controls over a part of it."""
+    hover = model.hover
 
-    This is the least-squares estimate of k in a = -k v. A drag beyond `_LARGEST_DRAG` is not believed.
-    """
-    square = wp.dot(v, v)
-    return wp.vec2(wp.clamp(-wp.dot(unexplained, v), -_LARGEST_DRAG * square, _LARGEST_DRAG * square), square)
+    @wp.func
+    def mean_control(
+        b: int, start: float, width: float, params: Params, controls: wp.array2d(dtype=wp.vec4)
+    ) -> wp.vec4:
+        """Return the mean of a sequence of controls over a part of it; past its end the drone hovers.
+
+        Args:
+            b: drone.
+            start: begin of the part after that of the sequence, in time steps.
+            width: length of the part, in time steps, at most 1.
+            params: live parameters.
+            controls: [B, any].
+        """
+        i = int(start)
+        u0 = hover(params)
+        u1 = u0
+        if i < controls.shape[1]:
+            u0 = controls[b, i]
+        if i + 1 < controls.shape[1]:
+            u1 = controls[b, i + 1]
+        share = wp.max(0.0, start - float(i) - (1.0 - width)) / width
+        return u0 + share * (u1 - u0)
+
+    return mean_control
 
 
-@wp.func
-def counted_disturbance(mean: wp.vec3, v: wp.vec3) -> wp.vec3:
-    """Return a disturbance without its component against the velocity.
+@functools.cache
+def predict_state(composition: Composition) -> wp.Kernel:
+    """Return the kernel that predicts the state at which the plan takes effect."""
+    Views, model, estimate = composition.Views, composition.model, composition.hooks.estimate
+    hover, constants, step, acceleration_of = model.hover, model.constants, model.step, model.acceleration
+    controls_in_effect, mean_of = flown_controls(model), mean_control(model)
 
-    It shortens every stop, and may end with the motion. It is left as a margin.
-    """
-    against = wp.min(wp.dot(mean, v), 0.0) / wp.max(wp.dot(v, v), 1.0e-6)
-    return mean - against * v
+    @wp.kernel(module="unique", enable_backward=False)
+    def predict_state(
+        # problem
+        problem: Problem,
+        # configuration
+        params: wp.array(dtype=Params),
+        # in
+        previous: PreviousPlan,
+        views: Views,
+        # out
+        start: Start,
+    ):
+        """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
 
+        The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind
+        them. Without a delay the state is copied, with its attitude normalised. Launched over [B].
+        """
+        b = wp.tid()
+        c = params[b]
+        p = problem.position[b]
+        v = problem.velocity[b]
+        q = wp.normalize(problem.quaternion[b])
+        since = time_since_plan(b, problem.time[b], previous, c)
+        horizon = float(previous.controls.shape[1]) * c.dt
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        acting = hover(c)
+        if since >= 0.0:
+            _command, acting = controls_in_effect(b, wp.max(since - c.delay, 0.0), previous, c)
+        e = Estimate()
+        e.since = since
+        e.horizon = horizon
+        e.quaternion = q
+        e.velocity = v
+        e.measured = problem.acceleration[b]
+        e.modelled = acceleration_of(v, q, acting, constants(zero, 0.0, c.dt, c))
+        e.given = problem.disturbance[b]
+        e.acting = zero
+        e.fed_forward = zero
+        e.drag = 0.0
+        e = estimate(b, e, views, c)
+        acceleration = e.measured
+        if wp.isnan(acceleration[0]):
+            acceleration = e.acting - e.drag * v
+        acceleration += e.fed_forward - e.acting
+        if c.delay > 0.0:
+            steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
+            dt = c.delay / float(steps)
+            u = hover(c)
+            k = constants(e.acting, e.drag, dt, c)
+            for i in range(steps):
+                if since >= 0.0 and since < horizon:
+                    sent = wp.max(since - c.delay + (float(i) + 0.5) * dt, 0.0)
+                    u = mean_of(b, sent / c.dt, 1.0, c, previous.controls)
+                p, v, q, acting = step(p, v, q, acting, u, k)
+            acceleration = acceleration_of(v, q, acting, constants(e.fed_forward, e.drag, dt, c))
+        start.position[b] = p
+        start.velocity[b] = v
+        start.quaternion[b] = q
+        start.acceleration[b] = acceleration
+        start.disturbance[b] = e.fed_forward
+        start.drag[b] = e.drag
 
-@wp.kernel
-def predict_state(
-    # problem
-    drone: DroneState,
-    time: wp.array(dtype=wp.float64),
-    # configuration
-    params: wp.array(dtype=Params),
-    # in
-    previous: PreviousPlan,
-    # in and out
-    mean_disturbance: wp.array(dtype=wp.vec3),
-    drag_means: wp.array(dtype=wp.vec2),
-    view_quaternion: wp.array(dtype=wp.vec4),
-    # out
-    start: DroneState,
-):
-    """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
-
-    The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind them.
-    Without a delay the state is copied, with its attitude normalised. What the model does not explain is the difference
-    of the given acceleration from that of the controls in effect, or is given. Its part against the velocity, in
-    proportion to it, is the drag; the mean of the rest is the disturbance. Both are 0 in the first plan, and the
-    disturbance also after a horizon without a plan or without an acceleration. `view_quaternion` follows the given
-    attitude. Launched over [B].
-    """
-    b = wp.tid()
-    c = params[b]
-    p = drone.position[b]
-    v = drone.velocity[b]
-    q = wp.normalize(drone.quaternion[b])
-    acceleration = drone.acceleration[b]
-    since = time_since_plan(b, time[b], previous, c)
-    horizon = float(previous.controls.shape[1]) * c.dt
-    acting = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
-    if since >= 0.0:
-        _command, acting = flown_controls(b, wp.max(since - c.delay, 0.0), previous, c)
-    no_disturbance = wp.vec3(0.0, 0.0, 0.0)
-    unexplained = drone.disturbance[b]
-    is_given = not wp.isnan(unexplained[0])
-    if not is_given and since < horizon:  # NaN without an acceleration
-        modelled = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(no_disturbance, c)
-        unexplained = acceleration - modelled
-    is_known = not wp.isnan(unexplained[0]) and (is_given or since >= 0.0)
-    means = wp.vec2(0.0, 0.0)
-    if since >= 0.0:
-        means = drag_means[b]
-    drag = float(0.0)
-    if c.drag_time > 0.0:
-        if is_known and since >= 0.0:
-            means += (1.0 - lag_share(c.drag_time, since)) * (drag_sample(unexplained, v) - means)
-        drag = wp.max(means[0], 0.0) / (means[1] + _HALF_BELIEVED_SPEED * _HALF_BELIEVED_SPEED)
-    drag_means[b] = means
-    disturbance = no_disturbance
-    if c.disturbance_time > 0.0 and is_known:
-        disturbance = believed_disturbance(unexplained + drag * v)
-        if not is_given:
-            mean_before = mean_disturbance[b]
-            disturbance = mean_before + (1.0 - lag_share(c.disturbance_time, since)) * (disturbance - mean_before)
-    if wp.isnan(acceleration[0]):
-        acceleration = disturbance - drag * v
-    counted = counted_disturbance(disturbance, v)
-    acceleration += counted - disturbance
-    mean_disturbance[b] = disturbance
-    view_quaternion[b] = lagged_attitude(q, view_quaternion[b], since, c.view_age)
-    if c.delay > 0.0:
-        steps = int(wp.ceil(c.delay / _STEP - 1.0e-3))
-        dt = c.delay / float(steps)
-        u = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
-        shares = lag_shares(dt, c)
-        mean_shares = mean_lag_shares(shares, dt, c)
-        for k in range(steps):
-            if since >= 0.0 and since < horizon:
-                sent = wp.max(since - c.delay + (float(k) + 0.5) * dt, 0.0)
-                u = mean_control(b, sent / c.dt, 1.0, c, previous.controls)
-            mean = lagged_control(u, acting, mean_shares)
-            acting = lagged_control(u, acting, shares)
-            p, v, q = rk4_step(p, v, q, mean, c.mass, thrust_free_acceleration(disturbance, c), drag, dt)
-        acceleration = (acting[0] / c.mass) * thrust_axis(q) + thrust_free_acceleration(counted, c) - drag * v
-    start.position[b] = p
-    start.velocity[b] = v
-    start.quaternion[b] = q
-    start.acceleration[b] = acceleration
-    start.disturbance[b] = counted
-    start.drag[b] = drag
+    return predict_state

@@ -7,6 +7,7 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.composition import Composition
 from aero_planner.kernels.clearance import (
     GRID,
     ROUNDING,
@@ -18,21 +19,24 @@ from aero_planner.kernels.clearance import (
     scan_packs,
     smallest,
 )
-from aero_planner.kernels.costs import collision_cost
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.movers import Movers, clear_of_movers
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.warp_ops import point_pack
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.device.records import Problem, grid_struct
 
 wp.set_module_options({"enable_backward": False})
 
 
+def query_clearance(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
+    """Return the kernel that evaluates the clearance of all Stage I positions, one by one or by vectors of samples."""
+    return (_query_one_by_one if tuning.samples_per_thread == 1 else _query_vectors)(tuning, composition)
+
+
 @functools.cache
-def query_clearance(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that evaluates the clearance of all Stage I positions on CUDA."""
+def _query_one_by_one(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     ROWS, THREADS = wp.constant(tuning.rows_per_sample_query), wp.constant(tuning.threads_per_sample_query)
     clearance = clearance_at(tuning.points_per_pack, tuning.threads_per_sample_query)
-    Pack: Any = point_pack(tuning.points_per_pack)
+    Grid: Any = grid_struct(tuning.points_per_pack)
+    Views, dynamic, obstacle_cost = composition.Views, composition.hooks.clearance, composition.obstacle
 
     # For a batch, limits the registers so that a multiprocessor holds eight blocks. One drone does not fill it anyway.
     bounds = (128, 8) if tuning.rows_per_sample_query > 1 else None
@@ -44,16 +48,12 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         instances: int,
         steps: int,
         # problem
-        finished: wp.array(dtype=int),
-        position: wp.array(dtype=wp.vec3),
-        ground_height: wp.array(dtype=float),
-        movers: Movers,
+        problem: Problem,
         # configuration
         params: wp.array(dtype=Params),
-        duplicate_rows: int,
         # in
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
+        grid: Grid,
+        views: Views,
         sample_positions: wp.array4d(dtype=float),
         # out
         sample_clearance_cost: wp.array3d(dtype=float),
@@ -68,7 +68,7 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         thread = slot % THREADS
         i = first_instance + offset
         b = i // instances
-        if finished[b] != 0:
+        if problem.active[b] == 0:
             return
         c = params[b]
         rows = wp.where(c.q_blocked == 0.0, steps, sample_clearance_cost.shape[1])
@@ -76,20 +76,20 @@ def query_clearance(tuning: KernelTuning) -> wp.Kernel:
         for t in range(group * ROWS, wp.min(group * ROWS + ROWS, rows)):
             limit = query_limit(t, steps, c)
             x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
-            d = clearance(x, limit, b, thread, position[b], size, duplicate_rows, cell_ends, point_packs)
-            d = above_ground(d, x, ground_height[b], c)
+            d = clearance(x, limit, b, thread, problem.position[b], size, grid)
+            d = above_ground(d, x, problem.ground_height[b], c)
             if t < steps:
-                d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
+                d = dynamic(d, x, float(t + 1) * c.dt, b, views, c)
             if thread == 0:
-                blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
-                sample_clearance_cost[i, t, k] = wp.where(t < steps, collision_cost(d, c), blocked)
+                blocked = wp.where(d < c.distance_min, 1.0, 0.0)
+                sample_clearance_cost[i, t, k] = wp.where(t < steps, obstacle_cost(d, c), blocked)
 
     return tuning.set_options(query_clearance)
 
 
 @functools.cache
-def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that does the work of `query_clearance` on a CPU, for vectors of samples.
+def _query_vectors(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
+    """Return the kernel for vectors of samples.
 
     Most positions are far from all points. Their cells and their costs are found for a vector at once, and only the
     others are compared with points one by one. The rows of the grid must be duplicated.
@@ -99,40 +99,41 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
     Reals: Any = wp.types.vector(length=tuning.samples_per_thread, dtype=wp.float32)
     Integers: Any = wp.types.vector(length=tuning.samples_per_thread, dtype=wp.int32)
     Distances: Any = wp.types.vector(length=tuning.points_per_pack, dtype=wp.float32)
-    Pack: Any = point_pack(tuning.points_per_pack)
+    Grid: Any = grid_struct(tuning.points_per_pack)
+    Views, dynamic, obstacle_cost = composition.Views, composition.hooks.clearance, composition.obstacle
 
     @wp.kernel(module="unique", enable_backward=False)
-    def query_sample_vectors(
+    def query_vectors(
         # slice of the instances
         first_instance: int,
         instances: int,
         steps: int,
         # problem
-        finished: wp.array(dtype=int),
-        position: wp.array(dtype=wp.vec3),
-        ground_height: wp.array(dtype=float),
-        movers: Movers,
+        problem: Problem,
         # configuration
         params: wp.array(dtype=Params),
         # in
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
+        grid: Grid,
+        views: Views,
         sample_positions: wp.array4d(dtype=Reals),
         # out
         sample_clearance_cost: wp.array3d(dtype=float),
     ):
-        """Compute the collision cost of every sampled position. Launched over [instances of this chunk, N + PROBES]."""
-        offset, t = wp.tid()
+        """Compute the collision cost of every sampled position. Launched over [instances of this chunk, N + PROBES, 1].
+
+        The results are those of the kernel that queries one by one.
+        """
+        offset, t, _ = wp.tid()
         i = first_instance + offset
         b = i // instances
-        if finished[b] != 0:
+        if problem.active[b] == 0:
             return
         c = params[b]
         if t >= steps and c.q_blocked == 0.0:
             return
         samples = sample_clearance_cost.shape[2]
-        center = position[b]
-        ground = ground_height[b]
+        center = problem.position[b]
+        ground = problem.ground_height[b]
         limit = query_limit(t, steps, c)
         size = cell_size(c)
         reach = limit / size + ROUNDING  # in cells
@@ -152,22 +153,22 @@ def query_sample_vectors(tuning: KernelTuning) -> wp.Kernel:
                 first_cell[j] = wp.where(inside, row + int(wp.max(cell[0] - reach - 1.0, 0.0)), 0)
                 last_cell[j] = wp.where(inside, row + int(wp.min(cell[0] + reach, float(GRID - 1))), 0)
             for j in range(WIDTH):
-                first = cell_ends[b, first_cell[j]]
-                last = cell_ends[b, last_cell[j]]
+                first = grid.ends[b, first_cell[j]]
+                last = grid.ends[b, last_cell[j]]
                 if first < last:
                     x = wp.vec3(xs[j], ys[j], zs[j])
                     best = Distances(limit * limit)
                     end = (last + PACK - 1) // PACK
-                    nearest[j] = reduce(scan(best, x, b, first // PACK, end, point_packs))
+                    nearest[j] = reduce(scan(best, x, b, first // PACK, end, grid.packs))
             for j in range(WIDTH):
                 d = wp.where(nearest[j] < limit * limit, wp.sqrt(nearest[j]), limit)
                 x = wp.vec3(xs[j], ys[j], zs[j])
                 d = above_ground(d, x, ground, c)
                 if t < steps:
-                    d = clear_of_movers(d, x, float(t + 1) * c.dt, b, movers, c)
-                blocked = wp.where(d < c.blocked_radius, 1.0, 0.0)
-                cost[j] = wp.where(t < steps, collision_cost(d, c), blocked)
+                    d = dynamic(d, x, float(t + 1) * c.dt, b, views, c)
+                blocked = wp.where(d < c.distance_min, 1.0, 0.0)
+                cost[j] = wp.where(t < steps, obstacle_cost(d, c), blocked)
             for j in range(wp.min(WIDTH, samples - group * WIDTH)):
                 sample_clearance_cost[i, t, group * WIDTH + j] = cost[j]
 
-    return tuning.set_options(query_sample_vectors, keep_loops=True)
+    return tuning.set_options(query_vectors, keep_loops=True)

@@ -1,6 +1,8 @@
-"""Stage II: roll out the optimised controls, select the best instance, and brake if none is safe.
+"""Stage II: roll out the optimised controls, sum S2, and select.
 
-The M instances are followed by the braking candidates. If no instance is safe, a braking candidate replaces one.
+The M instances are followed by the candidates that stop: the braking candidates, and those that stages append. The
+selection is three functions: `rank` orders the instances, `admissible` says which of them may be flown, and `fallback`
+says what is flown if none may.
 """
 
 # Postponed annotations are left out: kernels made for a tuning refer to local types.
@@ -10,41 +12,35 @@ from typing import Any
 
 import warp as wp
 
-from aero_planner.kernels.best_instance import select_best
-from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit, safety_limit
-from aero_planner.kernels.costs import collision_cost, goal_cost, jump_cost, speed_cost
-from aero_planner.kernels.dynamics import (
-    lag_shares,
-    lagged_control,
-    mean_lag_shares,
-    rk4_step,
-    thrust_free_acceleration,
-)
-from aero_planner.kernels.escape import Escape, escape_cost, remember_place
+from aero_planner.composition import Composition
+from aero_planner.costs.cost_term import End, Step
+from aero_planner.device.hook_records import Fallback
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.device.records import Choice, GuideSet, PreviousPlan, Problem, Rollouts, Scores, Start, grid_struct
+from aero_planner.device.warp_ops import minimum_over, read_lane, read_lane_integer, sum_over
+from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.guides import BRAKING_FAN
-from aero_planner.kernels.kernel_tuning import KernelTuning
-from aero_planner.kernels.movers import Movers, clear_of_movers
-from aero_planner.kernels.mppi import PROBES, blocked_cost, probe_position
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import DroneState, GoalState, GuideSet, InstanceCosts, PreviousPlan, Rollouts
-from aero_planner.kernels.stops import STOPS, is_hidden, mover_allowances, switch_step
-from aero_planner.kernels.warp_ops import minimum_over, point_pack, read_lane, sum_over
+from aero_planner.kernels.mppi import PROBES, probe_position
+from aero_planner.plan import PlanStatus
 
 wp.set_module_options({"enable_backward": False})
 
-_HIDDEN = wp.constant(1.0)
-"""Distance by which a braking guide that leads into unseen space counts as nearer to obstacles [m]."""
+OK = wp.constant(int(PlanStatus.OK))
+NO_SAFE_CANDIDATE = wp.constant(int(PlanStatus.NO_SAFE_CANDIDATE))
+STALE_CLOUD = wp.constant(int(PlanStatus.STALE_CLOUD))
 
 
 @functools.cache
-def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
+def roll_out_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel of the Stage II rollouts, with `tuning.threads_per_instance` threads per instance."""
     LANES = wp.constant(tuning.threads_per_instance)
+    constants, step = composition.model.constants, composition.model.step
 
     @wp.kernel(module="unique", enable_backward=False)
     def roll_out_controls(
         # problem
-        drone: DroneState,
+        start: Start,
         # configuration
         params: wp.array(dtype=Params),
         instances: int,
@@ -53,38 +49,32 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
         # in (controls of the instances) and out
         rollouts: Rollouts,
     ):
-        """Roll out the optimised controls of the instances and the nominal controls of the braking candidates.
+        """Roll out the optimised controls of the instances and the nominal controls of the other rows.
 
         Launched over [B, R, LANES]. The lanes read the controls of as many time steps at once.
         """
         b, m, lane = wp.tid()
         c = params[b]
-        p = drone.position[b]
-        v = drone.velocity[b]
-        q = drone.quaternion[b]
+        p = start.position[b]
+        v = start.velocity[b]
+        q = start.quaternion[b]
         if lane == 0:
             rollouts.positions[b, m, 0] = p
             rollouts.velocities[b, m, 0] = v
             rollouts.quaternions[b, m, 0] = q
-        acting = drone.control[b]
-        g = thrust_free_acceleration(drone.disturbance[b], c)
-        drag = drone.drag[b]
-        shares = lag_shares(c.dt, c)
-        mean_shares = mean_lag_shares(shares, c.dt, c)
+        acting = start.control[b]
+        k = constants(start.disturbance[b], start.drag[b], c.dt, c)
         steps = rollouts.controls.shape[2]
         for first in range(0, steps, LANES):
             t_lane = wp.min(first + lane, steps - 1)
             u_lane = wp.where(m < instances, rollouts.controls[b, m, t_lane], nominal_controls[b, m, t_lane])
             rollouts.controls[b, m, t_lane] = u_lane
             for t in range(first, wp.min(first + LANES, steps)):
-                step = t - first
+                i = t - first
                 u = wp.vec4(
-                    read_lane(u_lane[0], step), read_lane(u_lane[1], step),
-                    read_lane(u_lane[2], step), read_lane(u_lane[3], step),
+                    read_lane(u_lane[0], i), read_lane(u_lane[1], i), read_lane(u_lane[2], i), read_lane(u_lane[3], i)
                 )  # fmt: skip
-                mean = lagged_control(u, acting, mean_shares)
-                acting = lagged_control(u, acting, shares)
-                p, v, q = rk4_step(p, v, q, mean, c.mass, g, drag, c.dt)
+                p, v, q, acting = step(p, v, q, acting, u, k)
                 if lane == 0:
                     rollouts.positions[b, m, t + 1] = p
                     rollouts.velocities[b, m, t + 1] = v
@@ -93,278 +83,306 @@ def roll_out_controls(tuning: KernelTuning) -> wp.Kernel:
     return tuning.set_options(roll_out_controls)
 
 
+@wp.func
+def step_of_rollout(
+    b: int, m: int, t: int, instances: int, previous_index: int, problem: Problem, start: Start,
+    guides: wp.array3d(dtype=wp.vec3), rollouts: Rollouts,
+) -> Step:  # fmt: skip
+    """Return a time step of a Stage II rollout as the cost terms see it."""
+    s = Step()
+    s.t = t
+    s.last = rollouts.controls.shape[2] - 1
+    s.is_guided = wp.where(m == previous_index, 0, 1)
+    s.p = rollouts.positions[b, m, t + 1]
+    s.v = rollouts.velocities[b, m, t + 1]
+    s.q = rollouts.quaternions[b, m, t + 1]
+    s.u = rollouts.controls[b, m, t]
+    s.u_before = start.command[b]
+    if t > 0:
+        s.u_before = rollouts.controls[b, m, t - 1]
+    s.p_guide = guides[b, m, t + 1]
+    s.p_goal = problem.goal[b]
+    s.v_goal = start.goal_velocity[b]
+    s.q_goal = start.goal_quaternion[b]
+    return s
+
+
 @functools.cache
-def evaluate_states(tuning: KernelTuning) -> wp.Kernel:
+def evaluate_states(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that evaluates Stage II states, with `tuning.threads_per_query` threads per position."""
     clearance_of = clearance_at(tuning.points_per_pack, tuning.threads_per_query)
-    Pack: Any = point_pack(tuning.points_per_pack)
+    Grid: Any = grid_struct(tuning.points_per_pack)
+    Views, dynamic = composition.Views, composition.hooks.clearance
+    goal_cost, other_cost, obstacle_cost = composition.goal, composition.running2, composition.obstacle
 
     @wp.kernel(module="unique", enable_backward=False)
     def evaluate_states(
         # problem
-        finished: wp.array(dtype=int),
-        drone: DroneState,
-        center: wp.array(dtype=wp.vec3),
-        ground_height: wp.array(dtype=float),
-        goal: GoalState,
-        movers: Movers,
-        # configuration
-        params: wp.array(dtype=Params),
-        duplicate_rows: int,
-        # in
-        cell_ends: wp.array2d(dtype=int),
-        point_packs: wp.array2d(dtype=Pack),
-        waypoints: wp.array2d(dtype=wp.vec3),
-        rollouts: Rollouts,
-        # out
-        clearance: wp.array3d(dtype=float),
-        state_terms: wp.array3d(dtype=wp.vec4),
-        standing_clearance: wp.array3d(dtype=float),
-    ):
-        """Evaluate costs and clearance of the N states, the PROBES of the cost-to-go, the N midpoints between states,
-        and the start, in this order.
-
-        `state_terms` are J_goal, J_col, the speed cost and the clearance [m]; `standing_clearance` is that without
-        what moves. Launched over [B, R, N + PROBES + N + 1, threads per query].
-        """
-        b, m, t, thread = wp.tid()
-        if finished[b] != 0:
-            return
-        c = params[b]
-        steps = rollouts.positions.shape[2] - 1
-        x = rollouts.positions[b, m, wp.min(t + 1, steps)]
-        limit = query_limit(t, steps, c)
-        margin = float(0.0)
-        time = float(t + 1) * c.dt
-        if t >= steps + PROBES:
-            # The last row is the start, as the midpoint between the start and itself.
-            half = (t - steps - PROBES) % steps
-            half_end = wp.where(t == state_terms.shape[2] - 1, half, half + 1)
-            x = 0.5 * (rollouts.positions[b, m, half] + rollouts.positions[b, m, half_end])
-            # A midpoint faster than the speed limit is below its margin in open space, too, and counts as unsafe. That
-            # limit is the one for which the grid is made, and the speed cost keeps candidates near it.
-            limit = safety_limit(c)
-            time = (float(half) + 0.5 * float(half_end - half)) * c.dt
-            margin = c.speed_margin * wp.length(rollouts.velocities[b, m, half])
-            if t == state_terms.shape[2] - 1:
-                margin = 0.0
-        elif t >= steps:
-            x = probe_position(x, waypoints[b, m], goal.position[b], t - steps, c)
-        d = clearance_of(x, limit, b, thread, center[b], cell_size(c), duplicate_rows, cell_ends, point_packs)
-        d = above_ground(d, x, ground_height[b], c)
-        standing = d
-        if t < steps or t >= steps + PROBES:
-            d = clear_of_movers(d, x, time, b, movers, c)
-        J_goal = float(0.0)
-        J_speed = float(0.0)
-        if t < steps:
-            v = rollouts.velocities[b, m, t + 1]
-            q = rollouts.quaternions[b, m, t + 1]
-            J_goal = goal_cost(x, v, q, goal.position[b], goal.velocity[b], goal.quaternion[b], c)
-            J_speed = speed_cost(v, c)
-            margin = c.speed_margin * wp.length(v)
-            clearance[b, m, t] = wp.min(d, c.distance_max)
-        state_terms[b, m, t] = wp.vec4(J_goal, collision_cost(d, c), J_speed, d - margin)
-        standing_clearance[b, m, t] = standing - margin
-
-    return tuning.set_options(evaluate_states, keep_loops=True)
-
-
-@functools.cache
-def score_instances(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that sums S2, with `tuning.threads_per_instance` threads per instance."""
-    THREADS = wp.constant(tuning.threads_per_instance)
-    minimum, total = minimum_over(tuning.threads_per_instance), sum_over(tuning.threads_per_instance)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def score_instances(
-        # problem
-        position: wp.array(dtype=wp.vec3),
-        quaternion: wp.array(dtype=wp.vec4),
-        goal_position: wp.array(dtype=wp.vec3),
-        command: wp.array(dtype=wp.vec4),
+        problem: Problem,
+        start: Start,
         # configuration
         params: wp.array(dtype=Params),
         instances: int,
         previous_index: int,
-        rows: int,
-        columns: int,
         # in
-        fine_range: wp.array2d(dtype=float),
-        escape: Escape,
-        waypoints: wp.array2d(dtype=wp.vec3),
-        controls: wp.array3d(dtype=wp.vec4),
-        positions: wp.array3d(dtype=wp.vec3),
-        state_terms: wp.array3d(dtype=wp.vec4),
-        standing_clearance: wp.array3d(dtype=float),
+        grid: Grid,
+        views: Views,
+        guides: wp.array3d(dtype=wp.vec3),
+        rollouts: Rollouts,
         # out
-        costs: InstanceCosts,
-        instance_scores: wp.array2d(dtype=wp.vec3),
+        state_costs: wp.array3d(dtype=wp.vec3),
+        scores: Scores,
     ):
-        """Sum S2 of each instance and its terms.
+        """Evaluate costs and clearance of the N states, the PROBES of the cost-to-go, and the start, in this order.
 
-        `instance_scores` are S2, the minimum clearance, for which what moves counts as farther away by the first of
-        `mover_allowances`, and the minimum clearance without what moves [m]. Both are less by `_HIDDEN` for a braking
-        guide that leads into space that is not seen. Launched over [B, R, THREADS].
+        `state_costs` are J_goal, J_col and the other terms of S2. Launched over [B, R, N + PROBES + 1, threads per
+        query].
         """
+        b, m, t, thread = wp.tid()
+        if problem.active[b] == 0:
+            return
+        c = params[b]
+        steps = rollouts.controls.shape[2]
+        x = rollouts.positions[b, m, wp.min(t + 1, steps)]
+        time = float(t + 1) * c.dt
+        margin = float(0.0)
+        limit = query_limit(t, steps, c)
+        if t == steps + PROBES:
+            x = rollouts.positions[b, m, 0]
+            time = 0.0
+            limit = query_limit(0, steps, c)
+        elif t >= steps:
+            x = probe_position(x, problem.goal[b], t - steps, c)
+        d = clearance_of(x, limit, b, thread, problem.position[b], cell_size(c), grid)
+        d = above_ground(d, x, problem.ground_height[b], c)
+        static_d = d
+        if t < steps or t == steps + PROBES:
+            d = dynamic(d, x, time, b, views, c)
+        if t < steps:
+            s = step_of_rollout(b, m, t, instances, previous_index, problem, start, guides, rollouts)
+            state_costs[b, m, t] = wp.vec3(goal_cost(s, c), obstacle_cost(d, c), other_cost(s, c))
+            margin = c.speed_margin * wp.length(s.v)
+            scores.clearance[b, m, t] = wp.min(d, c.distance_max)
+        scores.state_clearance[b, m, t] = d - margin
+        scores.static_clearance[b, m, t] = static_d - margin
+
+    return tuning.set_options(evaluate_states, keep_loops=True)
+
+
+@wp.func
+def safe_clearance(start_clearance: float, c: Params) -> float:
+    """Return the clearance that is demanded of an instance [m].
+
+    For a drone that is nearer than safe_clearance at the start, it is safe not to come nearer still.
+    """
+    return wp.where(start_clearance < c.safe_clearance, start_clearance - 0.02, c.safe_clearance)
+
+
+@wp.func
+def dynamic_allowance(b: int, m: int, scores: Scores, c: Params) -> float:
+    """Return how much nearer than static obstacles dynamic ones may come to a safe instance [m].
+
+    It is 0 unless a dynamic obstacle is near at the start.
+    """
+    start = scores.state_clearance.shape[2] - 1
+    static_safe = safe_clearance(scores.static_clearance[b, m, start], c)
+    return static_safe - safe_clearance(scores.state_clearance[b, m, start], c)
+
+
+@functools.cache
+def score_instances(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
+    """Return the kernel that sums S2, with `tuning.threads_per_instance` threads per instance."""
+    THREADS = wp.constant(tuning.threads_per_instance)
+    minimum, total = minimum_over(tuning.threads_per_instance), sum_over(tuning.threads_per_instance)
+    Views, terminal_cost = composition.Views, composition.terminal2
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def score_instances(
+        # problem
+        problem: Problem,
+        # configuration
+        params: wp.array(dtype=Params),
+        # in
+        views: Views,
+        positions: wp.array3d(dtype=wp.vec3),
+        state_costs: wp.array3d(dtype=wp.vec3),
+        # in (clearances of the states) and out
+        scores: Scores,
+    ):
+        """Sum S2 of each row and its terms, and find its least clearances. Launched over [B, R, THREADS]."""
         b, m, thread = wp.tid()
         c = params[b]
         steps = positions.shape[2] - 1
-        start = state_terms.shape[2] - 1
-        allowance, _ = mover_allowances(state_terms[b, m, start][3], standing_clearance[b, m, start], c)
-        sums = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        allowance = dynamic_allowance(b, m, scores, c)
+        sums = wp.vec3(0.0, 0.0, 0.0)
         nearest = float(wp.INF)
-        nearest_standing = float(wp.INF)
+        nearest_static = float(wp.INF)
         blocked = float(0.0)
-        hidden = float(0.0)
-        may_be_hidden = c.brake_seen != 0 and m >= instances and m < instances + BRAKING_FAN
-        for t in range(thread, start, THREADS):
-            term = state_terms[b, m, t]
+        for t in range(thread, steps + PROBES, THREADS):
             if t < steps:
-                sums += term
-                if may_be_hidden:
-                    x = positions[b, m, t + 1]
-                    if is_hidden(b, x, position[b], quaternion[b], rows, columns, c, fine_range):
-                        hidden += 1.0
-            if t < steps or (c.between_steps != 0 and t >= steps + PROBES):
-                nearest = wp.min(nearest, term[3] + allowance)
-                nearest_standing = wp.min(nearest_standing, standing_clearance[b, m, t])
-            elif t < steps + PROBES and term[3] < c.blocked_radius:
+                sums += state_costs[b, m, t]
+                nearest = wp.min(nearest, scores.state_clearance[b, m, t] + allowance)
+                nearest_static = wp.min(nearest_static, scores.static_clearance[b, m, t])
+            elif scores.state_clearance[b, m, t] < c.distance_min:
                 blocked += 1.0
         J_goal = total(sums[0])
         J_col = total(sums[1])
-        J_speed = total(sums[2])
-        nearest_standing = minimum(nearest_standing)
-        nearest = wp.min(minimum(nearest), nearest_standing)
+        others = total(sums[2])
+        nearest_static = minimum(nearest_static)
+        nearest = wp.min(minimum(nearest), nearest_static)
         blocked = total(blocked)
-        if total(hidden) > 0.0:
-            nearest -= _HIDDEN
-            nearest_standing -= _HIDDEN
         if thread == 0:
-            costs.goal_cost[b, m] = J_goal
-            costs.collision_cost[b, m] = J_col
-            end = positions[b, m, steps]
-            to_go = blocked_cost(end, waypoints[b, m], goal_position[b], int(blocked), c)
-            jump = jump_cost(controls[b, m, 0], command[b], c.q_control_jump)
-            J_escape = escape_cost(end, b, escape, c)
-            if m == previous_index:
-                J_escape *= 1.0 - c.previous_discount
-            S2 = J_goal + J_col + J_speed + jump + to_go + J_escape
-            costs.stage2_cost[b, m] = S2
-            instance_scores[b, m] = wp.vec3(S2, nearest, nearest_standing)
+            e = End()
+            e.b = b
+            e.p = positions[b, m, steps]
+            e.p_goal = problem.goal[b]
+            e.blocked = blocked / float(PROBES)
+            scores.goal_cost[b, m] = J_goal
+            scores.collision_cost[b, m] = J_col
+            scores.stage2_cost[b, m] = J_goal + J_col + others + terminal_cost(e, views, c)
+            scores.least_clearance[b, m] = wp.vec2(nearest, nearest_static)
 
     return tuning.set_options(score_instances)
 
 
+@wp.func
+def rank(cost: float, is_admissible: int, best_cost: float, best_admissible: int, c: Params) -> bool:
+    """Return True if an instance ranks before the best one so far: by S2, with prefer_safe after being admissible."""
+    if c.prefer_safe != 0 and is_admissible != best_admissible:
+        return is_admissible != 0
+    return cost < best_cost
+
+
 @functools.cache
-def commit_plan(tuning: KernelTuning) -> wp.Kernel:
-    """Return the kernel that selects the best instance, with `tuning.threads_per_instance` lanes per drone."""
+def admissible(composition: Composition) -> wp.Function:
+    """Return the function that says whether an instance may be flown."""
+    Views, judge = composition.Views, composition.hooks.admissible
+
+    @wp.func
+    def admissible(b: int, m: int, safe: float, scores: Scores, views: Views, c: Params) -> int:
+        """Return 1 if instance m keeps the clearance `safe` [m], unless a stage judges otherwise, else 0."""
+        return judge(b, m, wp.where(scores.least_clearance[b, m][0] >= safe, 1, 0), views, c)
+
+    return admissible
+
+
+@functools.cache
+def fallback(composition: Composition) -> wp.Function:
+    """Return the function that says what is flown if no instance may be."""
+    Views, revise = composition.Views, composition.hooks.fallback
+
+    @wp.func
+    def fallback(
+        b: int, instances: int, status: int, clear_stop: float, scores: Scores, views: Views, c: Params
+    ) -> int:
+        """Return the row that is flown: the braking candidate with the largest clearance.
+
+        Those that are clear of static obstacles come first: what seems to move may be an error. Stages may choose
+        another row.
+        """
+        f = Fallback()
+        f.status = status
+        f.clear_stop = clear_stop
+        f.flown = instances
+        f.clearance = scores.least_clearance[b, instances]
+        for k in range(1, BRAKING_FAN):
+            d = scores.least_clearance[b, instances + k]
+            better = d[0] > f.clearance[0]
+            if (d[1] >= clear_stop) != (f.clearance[1] >= clear_stop):
+                better = d[1] >= clear_stop
+            if better:
+                f.flown = instances + k
+                f.clearance = d
+        f = revise(b, f, views, c)
+        return f.flown
+
+    return fallback
+
+
+@functools.cache
+def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
+    """Return the kernel that selects, with `tuning.threads_per_instance` lanes per drone."""
     LANES = wp.constant(tuning.threads_per_instance)
-    select = select_best(tuning)
+    Views, is_admissible, fall_back = composition.Views, admissible(composition), fallback(composition)
 
     @wp.kernel(module="unique", enable_backward=False)
     def commit_plan(
         # problem
-        time: wp.array(dtype=wp.float64),
-        position: wp.array(dtype=wp.vec3),
-        goal_position: wp.array(dtype=wp.vec3),
-        cloud_age: wp.array(dtype=float),
-        control: wp.array(dtype=wp.vec4),
+        problem: Problem,
+        start: Start,
         # configuration
         params: wp.array(dtype=Params),
         instances: int,
-        brake_index: int,
         # in
-        waypoints: wp.array2d(dtype=wp.vec3),
-        standing_clearance: wp.array3d(dtype=float),
-        instance_scores: wp.array2d(dtype=wp.vec3),
-        plan_period: wp.array(dtype=float),
-        stop_ready: wp.array(dtype=int),
-        stop_command: wp.array(dtype=wp.vec4),
-        stop_controls: wp.array3d(dtype=wp.vec4),
-        stop_clearance: wp.array2d(dtype=float),
+        views: Views,
         # in and out
         guides: GuideSet,
         rollouts: Rollouts,
-        costs: InstanceCosts,
-        clearance: wp.array3d(dtype=float),
-        tick: wp.array(dtype=int),
-        escape: Escape,
+        scores: Scores,
         # out
-        best: wp.array(dtype=int),
-        status: wp.array(dtype=int),
-        braking_instance: wp.array(dtype=int),
+        choice: Choice,
         previous: PreviousPlan,
     ):
-        """Select the best instance, replace it by a braking candidate if needed, and keep what the next plan needs.
+        """Select the best instance, replace it by a candidate that stops if needed, and keep what the next plan needs.
 
-        Launched over [B, LANES]. The lanes share the time steps; the first one writes what has none.
+        Launched over [B, LANES]. Every lane judges an instance of its own; then all of them compare the instances in
+        order. The lanes share the time steps; the first one writes what has none.
         """
         b, lane = wp.tid()
         steps = rollouts.controls.shape[2]
-        proven = rollouts.controls.shape[1] - 1  # row of the stop that was proven last
-        start_clearance = standing_clearance[b, 0, standing_clearance.shape[2] - 1]
         c = params[b]
-        m, flown, replaced, outcome, stop = select(
-            b, lane, instances, brake_index, start_clearance, cloud_age[b], c, stop_ready[b], instance_scores,
-            stop_clearance,
-        )  # fmt: skip
-        switch = steps
-        if replaced < 0:
-            switch = switch_step(stop, steps, plan_period[b], c)
-        hover = wp.vec4(c.mass * c.gravity, 0.0, 0.0, 0.0)
+        start_clearance = scores.static_clearance[b, 0, scores.static_clearance.shape[2] - 1]
+        safe = safe_clearance(start_clearance, c)
+        m = int(0)
+        lowest = float(wp.INF)
+        best_admissible = int(0)
+        for first in range(0, instances, LANES):
+            m_lane = wp.min(first + lane, instances - 1)
+            cost_lane = scores.stage2_cost[b, m_lane]
+            admissible_lane = is_admissible(b, m_lane, safe, scores, views, c)
+            for j in range(wp.min(LANES, instances - first)):
+                cost = read_lane(cost_lane, j)
+                admitted = read_lane_integer(admissible_lane, j)
+                if first + j == 0 or rank(cost, admitted, lowest, best_admissible, c):
+                    m = first + j
+                    lowest = cost
+                    best_admissible = admitted
+        status = wp.where(best_admissible != 0, OK, NO_SAFE_CANDIDATE)
+        if problem.cloud_age[b] > c.cloud_age_max:
+            status = STALE_CLOUD
+        flown = m
+        if status != OK:
+            flown = fall_back(b, instances, status, safe, scores, views, c)
         for t in range(lane, steps + 1, LANES):
-            flown_control = rollouts.controls[b, flown, wp.min(t, steps - 1)]
-            if t == 0 and flown == proven:
-                # What is flown until the next plan is the stop itself; its rollout has the mean over the time step.
-                flown_control = stop_command[b]
-            if replaced >= 0:
+            if flown != m:
                 guides.positions[b, m, t] = guides.positions[b, flown, t]
                 rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
                 rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
                 rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
             if t < steps:
-                previous.controls[b, t] = flown_control
-                if replaced >= 0:
-                    rollouts.controls[b, m, t] = flown_control
-                    clearance[b, m, t] = clearance[b, flown, t]
-                if c.prove_stop != 0 and flown != proven:
-                    # Keep the controls of the stop, of twice the length of the horizon.
-                    for half in range(2):
-                        k = t + half * steps
-                        kept = hover
-                        if k < switch:
-                            kept = rollouts.controls[b, flown, k]
-                        elif replaced < 0 and k - switch < steps:
-                            kept = stop_controls[b, m * STOPS + stop, k - switch]
-                        previous.stop[b, k] = kept
+                u = rollouts.controls[b, flown, t]
+                previous.controls[b, t] = u
+                if flown != m:
+                    rollouts.controls[b, m, t] = u
+                    scores.clearance[b, m, t] = scores.clearance[b, flown, t]
         if lane > 0:
             return
-        best[b] = m
-        status[b] = outcome
-        braking_instance[b] = replaced
-        if replaced >= 0:
+        choice.best[b] = m
+        choice.status[b] = status
+        choice.flown[b] = flown
+        choice.replaced[b] = wp.where(flown != m, m, -1)
+        if flown != m:
             guides.anchors[b, m] = guides.anchors[b, flown]
-            costs.goal_cost[b, m] = costs.goal_cost[b, flown]
-            costs.collision_cost[b, m] = costs.collision_cost[b, flown]
-            costs.stage2_cost[b, m] = costs.stage2_cost[b, flown]
+            scores.goal_cost[b, m] = scores.goal_cost[b, flown]
+            scores.collision_cost[b, m] = scores.collision_cost[b, flown]
+            scores.stage2_cost[b, m] = scores.stage2_cost[b, flown]
             for i in range(6):
                 guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
-        previous.start_control[b] = control[b]
-        if c.prove_stop == 0:
-            previous.stop_age[b] = wp.INF
-        elif flown == proven:
-            previous.stop_age[b] = previous.stop_age[b] + plan_period[b]
-        else:
-            previous.stop_age[b] = 0.0
+        previous.start_control[b] = start.control[b]
         previous.end[b] = rollouts.positions[b, flown, steps]
-        waypoint = waypoints[b, flown]
-        previous.waypoint[b] = wp.where(waypoint == goal_position[b], wp.vec3(wp.NAN, wp.NAN, wp.NAN), waypoint)
-        tick[b] = tick[b] + 1
-        if c.q_escape > 0.0:
-            remember_place(b, position[b], goal_position[b], plan_period[b], escape, c)
-        if not wp.isnan(time[b]):
-            previous.time[b] = time[b]
+        previous.tick[b] = previous.tick[b] + 1
+        if not wp.isnan(problem.time[b]):
+            previous.time[b] = problem.time[b]
         else:
             before = previous.time[b]
             if wp.isnan(before):

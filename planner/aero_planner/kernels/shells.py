@@ -9,10 +9,10 @@ in no shell.
 
 import warp as wp
 
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import CloudSweeps
+from aero_planner.device.params import Params
+from aero_planner.device.records import CloudSweeps, Problem
 from aero_planner.kernels.sweep_change import SweepChange, changed_row
-from aero_planner.kernels.warp_ops import claim_slot
+from aero_planner.device.warp_ops import claim_slot
 from aero_planner.sweeps import HASH_FACTORS, THINNING
 
 wp.set_module_options({"enable_backward": False})
@@ -52,7 +52,9 @@ def shell_of_point(point: wp.vec3, center: wp.vec3, reach: float) -> int:
 @wp.kernel
 def start_shells(
     change: wp.array(dtype=SweepChange),
-    position: wp.array(dtype=wp.vec3),
+    # problem
+    problem: Problem,
+    # configuration
     params: wp.array(dtype=Params),
     # out
     cloud: CloudSweeps,
@@ -62,7 +64,7 @@ def start_shells(
     sweep = changed_row(change[0], k)
     if sweep < 0:
         return
-    cloud.center[b, sweep] = position[b]
+    cloud.center[b, sweep] = problem.position[b]
     cloud.reach[b, sweep] = params[b].range_max
     for i in range(COUNTERS):
         cloud.shell_ends[b * cloud.start.shape[0] + sweep, i] = 0

@@ -1,10 +1,12 @@
-"""The record from which kernels read how the sweeps in memory change, so that one CUDA graph serves every sweep."""
+"""How the sweeps in memory change: a record that kernels read, so that one CUDA graph serves every sweep."""
 
 # Postponed annotations are left out: Warp structs need the types themselves.
 
 from typing import Any
 
 import warp as wp
+
+from aero_planner.device.records import CloudSweeps, Problem
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,8 +22,6 @@ class SweepChange:
     """A sweep that arrives, one that is thinned, or both. Rows are -1 where there is none."""
 
     arrived: int  # row of the sweep that arrives
-    number: int  # number of the newest sweep, in the order of arrival
-    oldest: int  # number of the oldest sweep in memory
     thinned: int  # row of the sweep that is thinned
     recent: RecentRows  # sweeps to estimate the motion from
     time: wp.float64  # when the sweep was complete [s]; NaN: the time of the inputs
@@ -32,3 +32,20 @@ class SweepChange:
 def changed_row(change: SweepChange, i: int) -> int:
     """Return the row of the sweep that arrives (i = 0) or is thinned (i = 1), whose points are to be ordered."""
     return wp.where(i == 0, change.arrived, change.thinned)
+
+
+@wp.kernel
+def stamp_sweep(
+    change: wp.array(dtype=SweepChange),
+    # problem
+    problem: Problem,
+    # out
+    cloud: CloudSweeps,
+):
+    """Keep when and where the sweep that arrives was complete. Launched over [B]."""
+    b = wp.tid()
+    row = change[0].arrived
+    if row < 0:
+        return
+    cloud.time[b, row] = wp.where(wp.isnan(change[0].time), problem.time[b], change[0].time)
+    cloud.origin[b, row] = wp.where(wp.isnan(change[0].position[0]), problem.position[b], change[0].position)

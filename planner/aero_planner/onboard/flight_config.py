@@ -8,7 +8,7 @@ from pathlib import Path
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ConfigFile
-from aero_planner.config.parameter import ContradictionError
+from aero_planner.parameters import ContradictionError
 from aero_planner.config.yaml_entries import Entry
 from aero_planner.onboard.settings import (
     OnboardConfig,

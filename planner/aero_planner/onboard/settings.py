@@ -9,7 +9,7 @@ from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
-from aero_planner.config.parameter import (
+from aero_planner.parameters import (
     ContradictionError,
     ParameterSection,
     SectionedConfig,

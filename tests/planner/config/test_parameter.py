@@ -10,7 +10,7 @@ from typing import ClassVar
 import pytest
 
 from aero_planner.config.file import ConfigFile
-from aero_planner.config.parameter import (
+from aero_planner.parameters import (
     ParameterInfo,
     ParameterSection,
     SectionedConfig,

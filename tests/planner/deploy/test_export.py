@@ -14,7 +14,7 @@ import warp as wp
 
 from aero_planner.cli import main
 from aero_planner.deploy.export import makes_graphs, parse_architecture
-from aero_planner.kernels.kernel_tuning import CUDA
+from aero_planner.device.kernel_tuning import CUDA
 from aero_planner.onboard.bundle_export import export_bundle
 from aero_planner.pipeline import tuned_kernels
 

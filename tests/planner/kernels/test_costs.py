@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
 from aero_planner.kernels import costs
-from aero_planner.kernels.params import Params, pack
+from aero_planner.device.params import Params, pack
 from tests.planner import reference
 from tests.planner.cases import random_quaternion
 

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from aero_planner.kernels.motion import BINS, BLOCK, Circles, Segments, find_segments, list_segments
 from aero_planner.kernels.movers import MOVERS
-from aero_planner.kernels.params import Params, pack
-from aero_planner.kernels.records import CloudSweeps, bundle
+from aero_planner.device.params import Params, pack
+from aero_planner.device.records import CloudSweeps, bundle
 from aero_planner.kernels.sweep_change import RECENT
 from tests.planner.cases import change_of_sweeps, config_of
 

@@ -9,8 +9,8 @@ import warp as wp
 
 from aero_planner import Plan, Planner, PlanStatus, Sweeps, VehicleState
 from aero_planner.kernels.best_instance import select_best
-from aero_planner.kernels.kernel_tuning import CPU, CUDA, KernelTuning
-from aero_planner.kernels.params import Params
+from aero_planner.device.kernel_tuning import CPU, CUDA, KernelTuning
+from aero_planner.device.params import Params
 from aero_planner.kernels.stops import STOPS
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case

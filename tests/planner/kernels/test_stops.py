@@ -5,11 +5,11 @@ import pytest
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig, PlanStatus
-from aero_planner.kernels.kernel_tuning import CPU
+from aero_planner.device.kernel_tuning import CPU
 from aero_planner.kernels.movers import Movers
 from aero_planner.kernels.mppi import PROBES
-from aero_planner.kernels.params import Params
-from aero_planner.kernels.records import DroneState, Rollouts, bundle
+from aero_planner.device.params import Params
+from aero_planner.device.records import DroneState, Rollouts, bundle
 from aero_planner.kernels.stop_proof import evaluate_stops
 from aero_planner.kernels.stops import STOPS, mover_allowances, roll_out_stops, seen_range
 from tests.planner import reference

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from aero_planner.kernels.motion import BINS, Segments
 from aero_planner.kernels.movers import MOVERS
-from aero_planner.kernels.params import Params, pack
-from aero_planner.kernels.records import CloudSweeps, bundle
+from aero_planner.device.params import Params, pack
+from aero_planner.device.records import CloudSweeps, bundle
 from aero_planner.kernels.sweep_change import RECENT
 from aero_planner.kernels.tracks import LENGTH, STARTS, FoundTracks, follow_segments
 from tests.planner.cases import change_of_sweeps, config_of

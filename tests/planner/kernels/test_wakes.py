@@ -8,8 +8,8 @@ import warp as wp
 
 from aero_planner import Planner, Sweeps
 from aero_planner.kernels.movers import MOVERS
-from aero_planner.kernels.params import Params, pack
-from aero_planner.kernels.records import CloudSweeps, bundle
+from aero_planner.device.params import Params, pack
+from aero_planner.device.records import CloudSweeps, bundle
 from aero_planner.kernels.wakes import WAKES, find_wakes
 from tests.planner.cases import change_of_sweeps, config_of, kept_points
 from tests.planner.pillars import RADIUS, Array, plan_from, sweeps_of

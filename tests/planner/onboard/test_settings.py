@@ -9,7 +9,7 @@ from hypothesis import settings as hypothesis_settings
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
-from aero_planner.config.parameter import ParameterInfo
+from aero_planner.parameters import ParameterInfo
 from aero_planner.onboard.settings import (
     OnboardConfig,
     check_together,

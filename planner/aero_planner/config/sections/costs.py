@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.config.parameter import ParameterSection, choice, live, switch
+from aero_planner.parameters import ParameterSection, choice, live, switch
 
 
 @dataclass(frozen=True)
@@ -17,12 +17,7 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     q_velocity: float = live(
         0.25, "s/m", 0.0, 1e3, "Weight of the difference to the goal velocity.",
-        label="Goal velocity weight", symbol="Q_v", group="Goal", basic=True,
-    )  # fmt: skip
-    q_height: float = live(
-        0.0, "1/m", 0.0, 1e3, "Weight of the difference in height to the goal, beyond its part of the distance; 0 as "
-        "in the paper.",
-        label="Height weight", symbol="Q_h", group="Goal",
+        label="Goal velocity weight", symbol="Q_v", group="Goal",
     )  # fmt: skip
     q_attitude: float = live(
         1.0, "", 0.0, 1e3, "Weight of the difference to the goal attitude.",
@@ -51,7 +46,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(
-        200.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the limits of speed and descent; 0 as in the "
+        200.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the speed limit; 0 as in the "
         "paper.",
         label="Speed limit weight", group="Tracking and effort",
     )  # fmt: skip
@@ -65,7 +60,7 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     penalty: float = live(
         1e5, "", 0.0, 1e9, "Penalty of a time step with a clearance below d_min; 1e6 in the paper.",
-        label="Collision penalty", symbol="C", group="Obstacles", basic=True,
+        label="Collision penalty", symbol="C", group="Obstacles",
     )  # fmt: skip
     shape: str = choice(
         "quadratic", ("quadratic", "exponential"),
@@ -79,14 +74,8 @@ class CostConfig(ParameterSection, section="costs"):
         label="Penalty decay rate", symbol="a", group="Obstacles",
     )  # fmt: skip
     soft_weight: float = live(
-        200.0, "", 0.0, 1e6, "Weight of the quadratic penalty for speed limits of at least soft_speed.",
+        200.0, "", 0.0, 1e6, "Weight of the quadratic penalty.",
         label="Quadratic penalty weight", group="Obstacles", basic=True,
-    )  # fmt: skip
-    soft_speed: float = live(
-        7.0, "m/s", 0.1, 50.0,
-        "Speed limit below which soft_weight is scaled down in proportion: a slower drone spends more time steps in "
-        "the same gap and would otherwise pay more for the passage than it is worth.",
-        label="Full-weight speed limit", group="Obstacles",
     )  # fmt: skip
     use_ground: bool = switch(
         True, "Treat the ground as an obstacle where its height is known: a LiDAR may not see what is below it. Off as "
@@ -102,22 +91,7 @@ class CostConfig(ParameterSection, section="costs"):
         label="Greatest height", group="Obstacles",
     )  # fmt: skip
     q_blocked: float = live(
-        300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the path from the final state to the "
-        "goal; 0 in the paper.",
+        300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the straight path from the final state "
+        "to the goal, as far as the look-ahead distance; 0 in the paper. It is blocked where the clearance is below d_min.",
         label="Blocked path weight", group="Cost-to-go", basic=True,
-    )  # fmt: skip
-    waypoint_distance: float = live(
-        6.0, "m", 0.0, 30.0,
-        "Distance from the drone up to which that path follows the direction of the anchor, before it turns to the "
-        "goal. Guides that end sooner, such as slow ones, do not lead around an obstacle by themselves. 0 turns to the "
-        "goal immediately.",
-        label="Waypoint distance", group="Cost-to-go",
-    )  # fmt: skip
-    blocked_range: float = live(
-        5.0, "m", 0.5, 20.0, "Length of the path that is checked for obstacles.",
-        label="Cost-to-go range", group="Cost-to-go",
-    )  # fmt: skip
-    blocked_radius: float = live(
-        0.3, "m", 0.0, 5.0, "Clearance below which the path counts as blocked.",
-        label="Cost-to-go clearance", group="Cost-to-go",
     )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.config.parameter import ParameterSection, choice, live, structural, switch
+from aero_planner.parameters import ParameterSection, live, structural
 
 
 @dataclass(frozen=True)
@@ -13,7 +13,7 @@ class SamplingConfig(ParameterSection, section="sampling"):
 
     samples: int = structural(128, 1, 4096, "Rollouts per instance.", symbol="K", group="Horizon", basic=True)
     steps: int = structural(
-        25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon", basic=True
+        25, 2, 200, "Time steps of the horizon.", label="Horizon steps", symbol="N", group="Horizon"
     )
     dt: float = live(
         0.045, "s", 0.005, 0.5, "Length of a time step; 0.05 in the paper.",
@@ -25,11 +25,11 @@ class SamplingConfig(ParameterSection, section="sampling"):
     )  # fmt: skip
     variance_thrust: float = live(
         0.5, "N^2", 0.0, 100.0, "Variance of the noise on the thrust; 1 in the paper.",
-        label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights", basic=True,
+        label="Thrust noise variance", symbol="Sigma_F", group="Noise and weights",
     )  # fmt: skip
     variance_rate_xy: float = live(
         2.0, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the roll and pitch rates; 1 in the paper.",
-        label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights", basic=True,
+        label="Roll and pitch rate noise variance", symbol="Sigma_xy", group="Noise and weights",
     )  # fmt: skip
     variance_rate_z: float = live(
         0.5, "rad^2/s^2", 0.0, 100.0, "Variance of the noise on the yaw rate.",
@@ -39,23 +39,6 @@ class SamplingConfig(ParameterSection, section="sampling"):
         0.8, "", 0.0, 0.99, "Correlation of the noise between consecutive time steps, AR(1), which yields smooth "
         "detours; 0 as in the paper.",
         label="Noise correlation", group="Noise and weights",
-    )  # fmt: skip
-    keep_nominal: bool = switch(
-        True, "Use the nominal controls without noise as the first sample; off as in the paper.",
-        label="Noise-free first sample", group="Noise and weights",
-    )  # fmt: skip
-    fresh_noise: bool = switch(
-        True, "Draw new noise for every plan. Off, every plan uses the same noise.",
-        label="New noise for every plan", group="Noise and weights",
-    )  # fmt: skip
-    nominal: str = choice(
-        "guide", ("guide", "hover"), "Initial nominal controls: from the guide, by differential flatness, or hover.",
-        label="Nominal controls", group="Planning",
-    )  # fmt: skip
-    nominal_lag: float = live(
-        0.0, "s", 0.0, 1.0, "Time constant with which the nominal body rates of an anchor approach those that its "
-        "guide requires, from those that are commanded; 0 as in the paper: at once.",
-        label="Lag of nominal rates", group="Planning",
     )  # fmt: skip
     replan_period: float = live(
         0.02, "s", 0.001, 1.0, "Time between two plans, used if the vehicle states carry no time.",

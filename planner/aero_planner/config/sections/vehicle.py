@@ -1,16 +1,22 @@
-"""Parameters of the model of the quadrotor."""
+"""Parameters of the vehicle and of its model."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.config.parameter import ParameterSection, live
+from aero_planner.parameters import ParameterSection, choice, live
+from aero_planner.registry import names
 
 
 @dataclass(frozen=True)
 class VehicleConfig(ParameterSection, section="vehicle"):
-    """Model of the quadrotor."""
+    """Vehicle: its model and its limits."""
 
+    model: str = choice(
+        "ctbr", names("models"), "Vehicle model: what the controls are, and how the state follows them. ctbr, as in the "
+        "paper: thrust and body rates. acceleration: acceleration and yaw rate, for autopilots that take these.",
+        label="Vehicle model", live=False,
+    )  # fmt: skip
     mass: float = live(1.0, "kg", 0.05, 50.0, "Mass of the vehicle.", scale="log", symbol="m")
     gravity: float = live(9.81, "m/s^2", 0.0, 30.0, "Gravitational acceleration.", symbol="g")
     thrust_min: float = live(0.3, "N", 0.0, 500.0, "Smallest total thrust.", label="Minimum thrust", symbol="F_min")
@@ -23,44 +29,26 @@ class VehicleConfig(ParameterSection, section="vehicle"):
         0.0, "s", 0.0, 1.0, "Time constant with which the thrust follows its commands; 0 as in the paper: at once.",
         label="Thrust lag", symbol="tau_F",
     )  # fmt: skip
-    rate_xy_lag: float = live(
-        0.0, "s", 0.0, 1.0, "Time constant with which roll and pitch rates follow their commands; 0 as in the paper. "
-        "0.07 s for PX4.",
-        label="Roll and pitch rate lag", symbol="tau_xy",
-    )  # fmt: skip
-    rate_z_lag: float = live(
-        0.0, "s", 0.0, 1.0, "Time constant with which the yaw rate follows its commands; 0 as in the paper.",
-        label="Yaw rate lag", symbol="tau_z",
+    rate_lag: float = live(
+        0.0, "s", 0.0, 1.0, "Time constant with which the body rates follow their commands; 0 as in the paper. 0.07 s "
+        "for PX4.",
+        label="Body rate lag", symbol="tau_omega",
     )  # fmt: skip
     delay: float = live(
         0.0, "s", 0.0, 0.5, "Time from a command to its effect: the latency, and the lag of the body rates where "
-        "rate_xy_lag does not model it. Plans start from the state that is predicted for it.",
+        "rate_lag does not model it. Plans start from the state that is predicted for it.",
         label="Delay of commands",
-    )  # fmt: skip
-    disturbance_time: float = live(
-        0.2, "s", 0.0, 10.0, "Time over which the acceleration that the model does not explain, such as that of gusts, "
-        "is averaged. Plans count on it unless it slows the drone down. 0, as in the paper: no disturbance is assumed.",
-        label="Averaging of disturbances",
-    )  # fmt: skip
-    drag_time: float = live(
-        2.0, "s", 0.0, 100.0, "Time over which the drag is estimated, from the part of that acceleration that is "
-        "proportional to the velocity and against it. Plans count on it. 0, as in the paper: no drag is assumed.",
-        label="Averaging of drag",
     )  # fmt: skip
     speed_limit: float = live(
         7.0, "m/s", 0.2, 50.0,
         "Speed to stay below. It limits the look-ahead distance to 0.6 T v, the length at which a guide asks for no "
         "more speed, and costs.q_speed penalizes the excess.", basic=True,
     )  # fmt: skip
-    descent_limit: float = live(
-        50.0, "m/s", 0.2, 50.0, "Rate of descent to stay below; costs.q_speed penalizes the excess. 50 m/s: no limit, "
-        "as in the paper.",
-    )  # fmt: skip
 
     def unmodelled_delay(self, *, rate_lag: float, latency: float = 0.0) -> float:
         """Return the delay [s] with which to plan for a drone with a lag of its body rates and a latency [s].
 
-        The lag is left out if `rate_xy_lag` models it.
+        The lag is left out if `rate_lag` models it.
         """
-        delay = latency + (rate_lag if self.rate_xy_lag == 0.0 else 0.0)
+        delay = latency + (rate_lag if self.rate_lag == 0.0 else 0.0)
         return min(round(delay, 9), 0.5)  # people read it: 0.09, not the 0.09000000000000001 of 0.02 + 0.07

@@ -1,0 +1,17 @@
+"""Every cost term, and their sums S1 and S2.
+
+`terms` lists those that ship; a stage can bring one, and so can anybody: see `CostTerm` and `examples/own_cost_term.py`.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aero_planner.lazy_import import lazy_exports
+
+if TYPE_CHECKING:
+    from aero_planner.costs.cost_term import CostTerm, End, Step
+
+__all__ = ["CostTerm", "End", "Step"]
+
+__getattr__, __dir__ = lazy_exports(__name__, {"cost_term": ("CostTerm", "End", "Step")})

@@ -1,0 +1,1 @@
+"""What all kernels share: structs of arrays, live parameters, rotations, quintics, and operations that Warp lacks."""

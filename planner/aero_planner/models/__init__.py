@@ -1,0 +1,1 @@
+"""The vehicle models: what the controls are, and how the state follows them."""

@@ -1,0 +1,80 @@
+"""The interface of a stage: an option of the planner that owns its parameters, arrays, state, kernels and launches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import warp as wp
+
+if TYPE_CHECKING:
+    from aero_planner.costs import CostTerm
+    from aero_planner.recorder import Recorder
+
+Launches = list[Callable[[], Any]]
+
+
+@dataclass(frozen=True)
+class Hooks:
+    """Functions that a stage hands to the kernels of the core, each a `@wp.func` or None.
+
+    `views` are the `view`s of all active stages, by the stages' names; c holds the live parameters. Annotate `views`
+    with `typing.Any`. Where several stages have the same hook, each gets the result of the one before.
+
+    Attributes:
+        estimate: (b, e: Estimate, views, c) -> Estimate: the disturbance and drag that plans count on.
+        spread: (b, s: Spread, views, c) -> Spread: the spacing of the anchors.
+        clearance: (d, x, time, b, views, c) -> the smaller of d [m] and the distance of x [m] from dynamic obstacles, a
+            time [s] after the start of the plan.
+        admissible: (b, m, is_admissible, views, c) -> int: whether instance m may be flown, 0 or 1.
+        fallback: (b, f: Fallback, views, c) -> Fallback: what is flown if no instance is admissible.
+    """
+
+    estimate: wp.Function | None = None
+    spread: wp.Function | None = None
+    clearance: wp.Function | None = None
+    admissible: wp.Function | None = None
+    fallback: wp.Function | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A stage.
+
+    A stage that is not active records nothing and allocates nothing, and every plan is bit for bit as without it.
+
+    Args:
+        name: its name in `aero_planner.registry`, that of its parameter section.
+        label: for people.
+        arrays: dataclass that declares its device arrays, see `array_memory.array`; fields with `kept` are its state.
+        outputs: dataclass that declares what a `Plan` reports of it.
+        symbols: (rows, columns of fine cells) -> sizes by symbols that the shapes of its arrays use besides the core's.
+        view: Warp struct that hooks and cost terms read; its fields have the names of arrays of the stage, or of the
+            core.
+        hooks: functions for the kernels of the core.
+        terms: cost terms.
+        stopping_rows: number of rows of candidates that it appends to those that stop.
+        launches: by place of the pipeline, the function that records its launches there. The places, in order:
+            "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
+            "cloud": after that, before the points are scanned, to change them;
+            "start": beside everything up to the fine cells;
+            "cells": after the fine cells are known, before the points are sorted into the grid;
+            "guides": beside the guides, to write those of its own rows;
+            "rollouts": after the Stage II rollouts, beside their evaluation;
+            "proof": after the evaluation, beside the sum of S2, before the selection;
+            "end": after the selection.
+            Each returns steps that follow each other: chunks of a step may run at the same time, launches of a chunk
+            run one after another.
+    """
+
+    name: str
+    label: str
+    arrays: type | None = None
+    outputs: type | None = None
+    symbols: Callable[[int, int], dict[str, int]] | None = None
+    view: Any = None
+    hooks: Hooks = field(default_factory=Hooks)
+    terms: tuple[CostTerm, ...] = ()
+    stopping_rows: int = 0
+    launches: dict[str, Callable[[Recorder], list[list[Launches]]]] = field(default_factory=dict)

@@ -1,0 +1,1 @@
+"""Memory: sweeps beyond the newest ten are kept, thinned."""

@@ -1,0 +1,1 @@
+"""Unseen space: surfaces at the edges of the field of view continue beyond them."""

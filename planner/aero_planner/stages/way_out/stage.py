@@ -1,0 +1,49 @@
+"""The stage that leads out of dead ends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import warp as wp
+
+from aero_planner.array_memory import array
+from aero_planner.costs import CostTerm
+from aero_planner.recorder import Recorder
+from aero_planner.stage import Hooks, Launches, Stage
+from aero_planner.stages.way_out.places import PLACES, Places, escape_cost, look_around, remember_place
+
+
+@dataclass(eq=False)
+class Arrays:
+    """The tabu memory."""
+
+    places: wp.array = array(
+        wp.vec3, f"B {int(PLACES)}", "m", "Places without progress, world frame.", kept="plans"
+    )
+    place_count: wp.array = array(wp.int32, "B", "", "Number of places remembered for the goal.", kept="plans")
+    place_goal: wp.array = array(
+        wp.vec3, "B", "m", "Goal for which they are remembered, world frame.", kept="plans", initial=math.inf
+    )
+    place_nearest: wp.array = array(
+        wp.float32, "B", "m", "Distance to the goal when progress was last made.", kept="plans"
+    )
+    place_idle: wp.array = array(
+        wp.float32, "B", "s", "Time since then, or since a place was remembered.", kept="plans"
+    )
+
+
+def _remember(r: Recorder) -> list[list[Launches]]:
+    inputs = [r.problem, r.start, r.params]
+    return [[[r.record(remember_place, (r.sizes.B,), inputs=inputs, outputs=[r.view("way_out")])]]]
+
+
+STAGE = Stage(
+    name="way_out",
+    label="Way out",
+    arrays=Arrays,
+    view=Places,
+    hooks=Hooks(spread=look_around),
+    terms=(CostTerm("escape", "escape", terminal=escape_cost),),
+    launches={"end": _remember},
+)
