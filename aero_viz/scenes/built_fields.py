@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aero_viz.errors import UserError
-from aero_viz.scenes.field import AREA, Obstacle, Rows, field_world, is_clear
+from aero_viz.scenes.field import AREA, Obstacle, Rows, field_world
 from aero_viz.scenes.world import World
 
 WINDOW = 1.6
@@ -124,7 +124,7 @@ def hall(*, seed: int, ground: bool = True) -> World:
     roof = {"boxes": np.array([_block((x0, y0, HALL_HEIGHT), (x1, y1, HALL_HEIGHT + _THICKNESS))])}
     return field_world(
         f"hall-{seed}",
-        [*filter(is_clear, parts), _outer_walls(HALL_HEIGHT), roof],
+        [*parts, _outer_walls(HALL_HEIGHT), roof],
         ground=ground,
         bounds=_inside(HALL_HEIGHT),
     )

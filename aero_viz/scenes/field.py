@@ -55,17 +55,10 @@ def scatter(draws: Iterable[Draw], *, goal: Place = GOAL) -> list[Obstacle]:
     obstacles = []
     for draw in draws:
         obstacle = draw()
-        while not is_clear(obstacle, goal=goal):
+        while not _is_clear(obstacle, goal=goal):
             obstacle = draw()
         obstacles.append(obstacle)
     return obstacles
-
-
-def is_clear(obstacle: Obstacle, *, goal: Place = GOAL) -> bool:
-    """Return True if an obstacle keeps `CLEAR_RADIUS` from `START` and `goal` [m]."""
-    # Not a `World` for each obstacle: its checks would take most of the time of making a scene.
-    ends = np.array([[START], [goal]])
-    return all(np.all(DISTANCES[table](ends, rows) >= CLEAR_RADIUS) for table, rows in obstacle.items())
 
 
 def field_world(
@@ -86,3 +79,10 @@ def field_world(
             rows[table].append(part)
     tables = {table: np.concatenate(parts) for table, parts in rows.items()}
     return World(name, np.array(START), np.array(goal), **tables, **options)
+
+
+def _is_clear(obstacle: Obstacle, *, goal: Place = GOAL) -> bool:
+    """Return True if an obstacle keeps `CLEAR_RADIUS` from `START` and `goal` [m]."""
+    # Not a `World` for each obstacle: its checks would take most of the time of making a scene.
+    ends = np.array([[START], [goal]])
+    return all(np.all(DISTANCES[table](ends, rows) >= CLEAR_RADIUS) for table, rows in obstacle.items())

@@ -1,4 +1,4 @@
-"""Seeded synthetic scenes, 40 m x 40 m of obstacles between a start and a goal 45 m apart, and the scene registry."""
+"""Seeded fields of trunks, trees and pillars, and the registry of all scenes."""
 
 from __future__ import annotations
 

@@ -32,6 +32,7 @@ BRANCHES = 12
 RISE = 8.0
 """Height of the ground at the goal of the slope [m]."""
 _WAVE = 0.8  # [m], largest height of the waves on the slope
+_ROOT = 0.3  # [m], depth of a foot on the slope, so that no edge of it hangs in the air
 _SLOPE_CELL = 2.0  # [m], edge of the slope's triangles
 _SLOPE_AREA = ((2.5, 65.0), (-40.0, 40.0))  # x and y of the slope; it ends where the ground does
 
@@ -98,7 +99,7 @@ def slope(*, seed: int, count: int = 100, ground: bool = True) -> World:
     def draw() -> Obstacle:
         obstacle = tree(rng, 15.0)
         ((x, y, *_),) = obstacle["cylinders"]
-        lift = float(elevation(x, y))
+        lift = float(elevation(x, y)) - _ROOT
         return {table: rows + lift * (np.arange(rows.shape[1]) == 2) for table, rows in obstacle.items()}
 
     goal = (*GOAL[:2], GOAL[2] + RISE)
