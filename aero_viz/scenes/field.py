@@ -26,7 +26,7 @@ Rows = NDArray[np.float64]
 Obstacle = Mapping[str, Rows]
 """Rows of the tables of a `World` that make up one obstacle, by table."""
 Draw = Callable[[], Obstacle]
-Place = tuple[float, float, float]
+Position = tuple[float, float, float]
 
 _COLUMNS = {"cylinders": 8, "boxes": 7, "spheres": 4}
 
@@ -50,7 +50,7 @@ def cylinder(base: Rows, tip: Rows, radius: float) -> Rows:
     return np.array([*base, *(span / length), radius, length])
 
 
-def scatter(draws: Iterable[Draw], *, goal: Place = GOAL) -> list[Obstacle]:
+def scatter(draws: Iterable[Draw], *, goal: Position = GOAL) -> list[Obstacle]:
     """Return one obstacle of each draw, drawn again until it is clear of `START` and `goal` [m]."""
     obstacles = []
     for draw in draws:
@@ -62,7 +62,7 @@ def scatter(draws: Iterable[Draw], *, goal: Place = GOAL) -> list[Obstacle]:
 
 
 def field_world(
-    name: str, obstacles: Iterable[Obstacle], *, ground: bool, goal: Place = GOAL, **options: Rows
+    name: str, obstacles: Iterable[Obstacle], *, ground: bool, goal: Position = GOAL, **options: Rows
 ) -> World:
     """Return the world of obstacles on the field.
 
@@ -81,7 +81,7 @@ def field_world(
     return World(name, np.array(START), np.array(goal), **tables, **options)
 
 
-def _is_clear(obstacle: Obstacle, *, goal: Place = GOAL) -> bool:
+def _is_clear(obstacle: Obstacle, *, goal: Position = GOAL) -> bool:
     """Return True if an obstacle keeps `CLEAR_RADIUS` from `START` and `goal` [m]."""
     # Not a `World` for each obstacle: its checks would take most of the time of making a scene.
     ends = np.array([[START], [goal]])
