@@ -142,7 +142,7 @@ def make_flight_parser(name: str, description: str | None) -> argparse.ArgumentP
     """Return the parser of `python -m benchmarks.NAME` with the options of worlds and flights."""
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks.{name}", description=description)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
-    parser.add_argument("--rows", nargs="+", default=ROWS, help="SCENE:COUNT")
+    parser.add_argument("--rows", nargs="+", default=ROWS, help="SCENE or SCENE:COUNT")
     parser.add_argument("--seeds", default="5000-5199", help="range of the worlds' seeds")
     parser.add_argument("--seed", type=int, default=0, help="seed of sensor, noise and planner")
     parser.add_argument("--modes", nargs="+", default=list(TICKS_PER_PLAN), choices=TICKS_PER_PLAN)
@@ -151,7 +151,7 @@ def make_flight_parser(name: str, description: str | None) -> argparse.ArgumentP
     parser.add_argument("--batch", type=int, default=1024, help="largest number of flights at once")
     parser.add_argument("--time-limit", type=float, default=60.0, help="rules.time_limit [s]")
     parser.add_argument("--budget", type=float, default=math.inf, help="start no variant after this wall time [s]")
-    parser.add_argument("--passable", type=Path, help="JSON of SCENE:COUNT:SEED to true or false; computed by default")
+    parser.add_argument("--passable", type=Path, help="JSON of ROW:SEED to true or false; computed by default")
     parser.add_argument("--processes", type=int, default=2, help="processes that make worlds")
     parser.add_argument("--output", type=Path, default=Path(f"{name}.jsonl"), help="file to append records to")
     return parser

@@ -1,4 +1,4 @@
-"""Seeded synthetic scenes, 40 m x 40 m of obstacles between a start and a goal 45 m apart, and the scene registry."""
+"""Seeded fields of trunks, trees and pillars, and the registry of all scenes."""
 
 from __future__ import annotations
 
@@ -7,27 +7,26 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
-from aero_viz.scenes import rooms
-from aero_viz.scenes.primitives import DISTANCES
+from aero_viz.scenes import built_fields, obstacle_fields, rooms
+from aero_viz.scenes.field import (
+    CLEAR_RADIUS,
+    GOAL,
+    START,
+    Draw,
+    Obstacle,
+    field_world,
+    leaning_axis,
+    place,
+    scatter,
+)
+from aero_viz.scenes.obstacle_fields import tree
 from aero_viz.scenes.world import World
 
-START = (0.0, 0.0, 2.0)
-GOAL = (45.0, 0.0, 2.0)
-AREA = ((2.5, 42.5), (-20.0, 20.0))
-"""Ranges of x and y in which obstacles stand [m]."""
-CLEAR_RADIUS = 2.5
-"""Free distance around start and goal [m]."""
 COUNT_MAX = 20_000
 """Largest number of obstacles; more take minutes to place and unbounded memory."""
-GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
-"""Box of the ground: its top is z = 0, and it extends 20 m or more beyond start, goal and area."""
-
-Rows = NDArray[np.float64]
-_NO_SPHERES = np.zeros((0, 4))
 
 
 def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool = True) -> World:
@@ -44,20 +43,7 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
         ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
-
-    def draw() -> tuple[Rows, Rows]:
-        scale = rng.uniform(0.7, 1.3)
-        axis = _axis(rng, tilt_max)
-        height = scale * rng.uniform(5.0, 8.0)
-        base = _position(rng)
-        radius = scale * rng.uniform(0.8, 1.4, size=4)
-        spread = rng.uniform(-1.0, 1.0, size=(4, 3)) * scale * np.array([0.8, 0.8, 0.6])
-        centre = base + height * axis + spread
-        centre[:, 2] = np.maximum(centre[:, 2], 3.0 + radius)
-        trunk = np.concatenate([base, axis, [scale * rng.uniform(0.12, 0.3), height]])
-        return trunk, np.column_stack([centre, radius])
-
-    return _field(f"forest-{count}-{seed}", draw, count, ground)
+    return _field(f"forest-{count}-{seed}", partial(tree, rng, tilt_max), count, ground)
 
 
 def verticals(
@@ -74,8 +60,8 @@ def verticals(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> tuple[Rows, Rows]:
-        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(*width), height]]), _NO_SPHERES
+    def draw() -> Obstacle:
+        return {"cylinders": np.array([[*place(rng), 0.0, 0.0, 1.0, 0.5 * rng.uniform(*width), height]])}
 
     return _field(f"verticals-{count}-{seed}", draw, count, ground)
 
@@ -101,8 +87,10 @@ def inclines(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> tuple[Rows, Rows]:
-        return np.concatenate([_position(rng), _axis(rng, tilt_max), [rng.uniform(*radius), height]]), _NO_SPHERES
+    def draw() -> Obstacle:
+        return {
+            "cylinders": np.array([[*place(rng), *leaning_axis(rng, (0.0, tilt_max)), rng.uniform(*radius), height]])
+        }
 
     return _field(f"inclines-{count}-{seed}", draw, count, ground)
 
@@ -128,9 +116,9 @@ def density(
     """
     rng = np.random.default_rng(seed)
 
-    def draw() -> tuple[Rows, Rows]:
+    def draw() -> Obstacle:
         radius = 0.5 * rng.uniform(*width)
-        return np.concatenate([_position(rng), [0.0, 0.0, 1.0], [radius, rng.uniform(*height)]]), _NO_SPHERES
+        return {"cylinders": np.array([[*place(rng), 0.0, 0.0, 1.0, radius, rng.uniform(*height)]])}
 
     kind = f"density-{height[0]:g}m" if height[0] == height[1] else "density"
     return _field(f"{kind}-{count}-{seed}", draw, count, ground)
@@ -148,7 +136,7 @@ def moving(*, seed: int, count: int = 40, speed: tuple[float, float] = (0.5, 2.0
     rng = np.random.default_rng(seed)
     pillars, motion = [], []
     while len(pillars) < count:
-        pillar = np.concatenate([_position(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(0.4, 1.1), 6.0]])
+        pillar = np.concatenate([place(rng), [0.0, 0.0, 1.0], [0.5 * rng.uniform(0.4, 1.1), 6.0]])
         heading, span = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(5.0, 15.0)
         direction = np.array([np.cos(heading), np.sin(heading)])
         ends = np.array([START[:2], GOAL[:2]]) - pillar[:2]
@@ -156,9 +144,8 @@ def moving(*, seed: int, count: int = 40, speed: tuple[float, float] = (0.5, 2.0
         if np.linalg.norm(ends - nearest, axis=1).min() >= CLEAR_RADIUS + pillar[6]:
             pillars.append(pillar)
             motion.append([*rng.uniform(*speed) * direction, span])
-    boxes = np.array([GROUND]) if ground else np.zeros((0, 7))
-    tables = {"cylinders": np.reshape(pillars, (-1, 8)), "motion": np.reshape(motion, (-1, 3)), "boxes": boxes}
-    return World(f"moving-{count}-{seed}", np.array(START), np.array(GOAL), **tables)
+    obstacles = [{"cylinders": np.reshape(pillars, (-1, 8))}]
+    return field_world(f"moving-{count}-{seed}", obstacles, ground=ground, motion=np.reshape(motion, (-1, 3)))
 
 
 @dataclass(frozen=True)
@@ -183,6 +170,20 @@ SCENES: dict[str, SceneKind] = {
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),
     "density-6m": SceneKind("The cylinders of density, all 6 m high. Very dense.", partial(density, height=(6.0, 6.0))),
     "moving": SceneKind("40 pillars, 0.4 to 1.1 m wide, that move back and forth at 0.5 to 2 m/s.", moving),
+    "wires": SceneKind(
+        "60 taut wires, 16 to 40 mm thick, criss-cross at heights of 0.5 to 6 m.", obstacle_fields.wires
+    ),
+    "branches": SceneKind("80 bare trees, each with 12 branches 16 to 40 mm thick.", obstacle_fields.branches),
+    "crowns": SceneKind(
+        "80 crowns of trees at the height of the drone, every other one without a trunk.", obstacle_fields.crowns
+    ),
+    "blocks": SceneKind("City blocks, 4 to 12 m high, with streets and alleys.", built_fields.blocks, counted=False),
+    "windows": SceneKind("4 walls across the field, each with three windows of 1.6 m.", built_fields.windows),
+    "hall": SceneKind("A hall with pillars and beams under a roof at 6 m.", built_fields.hall, counted=False),
+    "slope": SceneKind("100 trees on ground that rises by 8 m.", obstacle_fields.slope),
+    "mixture": SceneKind(
+        "60 obstacles of many kinds: wires, trees, crowns, buildings, windows.", obstacle_fields.mixture
+    ),
     "pillars": _room("A room with 6 pillars; the goal is 3.75 m ahead at 0.8 m.", rooms.pillars),
     "wall": _room("A room with a wall across the direct line, open at both ends.", rooms.wall, counted=False),
     "double_wall_trap": _room(
@@ -223,27 +224,5 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     return SCENES[name].generate(seed=seed, ground=ground, **options)
 
 
-def _position(rng: np.random.Generator) -> Rows:
-    return np.array([rng.uniform(*AREA[0]), rng.uniform(*AREA[1]), 0.0])
-
-
-def _axis(rng: np.random.Generator, tilt_max: float) -> Rows:
-    tilt = np.radians(rng.uniform(0.0, tilt_max))
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    return np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
-
-
-def _field(name: str, draw: Callable[[], tuple[Rows, Rows]], count: int, ground: bool) -> World:
-    """Return the world of the first `count` draws (cylinder [8], spheres [n, 4]) that are clear of start and goal."""
-    cylinders, spheres = [], [_NO_SPHERES]
-    # Not a `World` for each candidate: its checks would take most of the time of making a scene.
-    ends = np.array([[START], [GOAL]])
-    while len(cylinders) < count:
-        cylinder, balls = draw()
-        tables = {"cylinders": cylinder[None], "spheres": balls}
-        if all(np.all(DISTANCES[key](ends, table) >= CLEAR_RADIUS) for key, table in tables.items()):
-            cylinders.append(cylinder)
-            spheres.append(balls)
-    tables = {"cylinders": np.reshape(cylinders, (-1, 8)), "spheres": np.concatenate(spheres)}
-    boxes = np.array([GROUND]) if ground else np.zeros((0, 7))
-    return World(name, np.array(START), np.array(GOAL), boxes=boxes, **tables)
+def _field(name: str, draw: Draw, count: int, ground: bool) -> World:
+    return field_world(name, scatter([draw] * count), ground=ground)

@@ -16,7 +16,7 @@ import warp as wp
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel, fly
-from aero_viz.scenes import World, scene
+from aero_viz.scenes import SCENES, World, scene
 from aero_viz.sensors import LidarModel
 
 CONFIG = PlannerConfig.preset("fast-cpu")
@@ -93,6 +93,13 @@ def test_a_batch_flies_as_single_flights(device):
             alone.simulator.vehicle.position.numpy()[0], together.simulator.vehicle.position.numpy()[b]
         )
         assert dataclasses.replace(result, plan_ms_median=None) == dataclasses.replace(results[b], plan_ms_median=None)
+
+
+def test_every_scene_flies_in_one_batch(device):
+    worlds = [scene(name, seed=1) for name in SCENES]
+    rules = dataclasses.replace(SHORT, time_limit=0.1)
+    results = FlightBatch(worlds, config=CONFIG, device=device, lidar=LIDAR, rules=rules).run()
+    assert [(result.scene, result.reason) for result in results] == [(world.name, "timeout") for world in worlds]
 
 
 REAL = {

@@ -3,13 +3,16 @@ import pytest
 
 from aero_viz.errors import UserError
 from aero_viz.scenes import SCENES, World, density, forest, inclines, scene, verticals
+from aero_viz.scenes.field import AREA
+from aero_viz.scenes.passable import is_passable
 
 OUTDOOR = ("forest", "verticals", "inclines", "density", "density-6m")
 COUNTED = [name for name, kind in SCENES.items() if kind.counted]
 
 
 def tables(world: World):
-    return np.concatenate([table.ravel() for table in (world.cylinders, world.boxes, world.spheres)])
+    parts = (world.cylinders, world.boxes, world.spheres, world.triangles, world.motion)
+    return np.concatenate([table.ravel() for table in parts])
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -24,6 +27,13 @@ def test_start_and_goal_are_clear(name):
     for seed in range(3):
         world = scene(name, seed=seed, ground=False)
         assert world.distance([world.start, world.goal]).min() >= SCENES[name].clear_radius
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", ["wires", "branches", "crowns", "blocks", "windows", "hall", "slope", "mixture"])
+def test_scenes_that_are_no_fields_of_trunks_are_passable(name, seed):
+    # The ground of the slope reaches beyond the trees: the path must not lead around them.
+    assert is_passable(scene(name, seed=seed), radius=0.4, region=np.transpose(AREA))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -87,15 +97,21 @@ def test_ground_is_an_option(name):
     np.testing.assert_array_equal(with_ground.boxes[~with_ground.ground], without.boxes)
 
 
+PRIMITIVES_OF_FOUR = {
+    "forest": 4 * 5, "slope": 4 * 5, "wires": 4 * 3, "branches": 4 * 13, "windows": 4 * 10, "crowns": 4 * 6 + 2,
+    "mixture": 3 + 5 + 13 + 6,
+}  # fmt: skip
+"""Primitives of four obstacles, where an obstacle has several."""
+
+
 @pytest.mark.parametrize("name", COUNTED)
 def test_count_is_the_number_of_obstacles_and_may_be_zero(name):
     none, four = (scene(name, seed=0, count=count, ground=False) for count in (0, 4))
-    per_obstacle = 5 if name == "forest" else 1
     added = [len(getattr(four, key)) - len(getattr(none, key)) for key in ("cylinders", "boxes", "spheres")]
-    assert sum(added) == 4 * per_obstacle
+    assert sum(added) == PRIMITIVES_OF_FOUR.get(name, 4)
 
 
-@pytest.mark.parametrize("name", ["wall", "double_wall_trap"])
+@pytest.mark.parametrize("name", sorted(set(SCENES) - set(COUNTED)))
 def test_scenes_of_fixed_count_refuse_a_count(name):
     with pytest.raises(UserError, match="leave the count out"):
         scene(name, seed=0, count=3)
