@@ -72,7 +72,7 @@ def make_guides(
     x0: State, a0: wp.vec3, goal: State, c: Parameters, anchors: wp.array(dtype=wp.vec3),
     coefficients: wp.array2d(dtype=wp.vec3), guides: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
-    """Write a_n of the guide to each anchor, and p(t) at t = 0, dt, .. T. Launched over [M].
+    """Write a_n of the guide to each anchor, and p(t) at 0, dt, .. T. Launched over [M].
 
     Guides end at rest, those that end at the goal with its velocity.
     """
