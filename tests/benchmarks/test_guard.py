@@ -9,18 +9,18 @@ from benchmarks.guard import main
 SHORT = ["--points", "20000", "--samples", "32", "--repeat", "7"]
 
 
-def test_the_planner_is_faster_than_the_naive_reference(device: str):
+def test_the_planner_is_faster_than_the_reference(device: str):
     """The bounds are half of the ratios measured when they were set; a lower ratio is a slow-down on any machine."""
-    bound = "16" if device == "cpu" else "1"
+    bound = "50" if device == "cpu" else "1"
     assert main([*SHORT, "--device", device, "--bound", bound]) == 0
 
 
 def test_report_names_stages_and_ratios(capsys: pytest.CaptureFixture[str]):
-    assert main([*SHORT, "--bound", "0", "--preset", "paper"]) in (0, 1)
+    assert main([*SHORT, "--bound", "0"]) in (0, 1)
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[2:]}
     for name in ("partition", "plan"):
-        naive, current, ratio = (float(value) for value in rows[name])
-        assert ratio == pytest.approx(naive / current, rel=0.05)
+        reference, planner, ratio = (float(value) for value in rows[name])
+        assert ratio == pytest.approx(reference / planner, rel=0.05)
 
 
 def test_a_slow_down_is_reported_and_fails(capsys: pytest.CaptureFixture[str]):
@@ -36,7 +36,6 @@ def test_a_slow_down_is_reported_and_fails(capsys: pytest.CaptureFixture[str]):
     ("arguments", "problem"),
     [
         (["--device", "gpu"], "device 'gpu' is not available"),
-        (["--preset", "papr"], "'papr' is neither a preset"),
         (["--points", "0"], "0 is less than 1"),
     ],
 )
