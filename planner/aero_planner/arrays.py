@@ -110,8 +110,9 @@ class PlannerOutputs:
     best: wp.array = array(wp.int32, "B", "", "Index of the instance to fly.")
     status: wp.array = array(wp.int32, "B", "", "See `PlanStatus`.")
     braking_instance: wp.array = array(wp.int32, "B", "", "Instance that a candidate that stops has replaced, or -1.")
+    flown: wp.array = array(wp.int32, "B", "", "Row that is flown: the best instance, or what has replaced it.")
     dropped_points: wp.array = array(wp.int32, "B", "", "Number of points that were not finite.")
-    disturbance: wp.array = array(wp.vec3, "B", "m/s^2", "Acceleration besides control, g and drag that is fed forward.")
+    disturbance: wp.array = array(wp.vec3, "B", "m/s^2", "Acceleration besides control, g and drag, fed forward.")
     drag: wp.array = array(wp.float32, "B", "1/s", "Deceleration per velocity that is fed forward.")
 
 
@@ -156,8 +157,6 @@ class Workspace:
     least_clearance: wp.array = array(
         wp.vec2, "B R", "m", "Least of the states' clearances from all obstacles, and from static ones."
     )
-    flown: wp.array = array(wp.int32, "B", "", "Row that is flown.")
-
     seed: wp.array = array(wp.int32, "B", "", "Seed of the noise.")
     tick: wp.array = array(wp.int32, "B", "", "Number of plans so far, which selects the noise.", kept="plans")
     previous_controls: wp.array = array(wp.vec4, "B N", "", "Controls to fly of the newest plan.", kept="plans")

@@ -18,8 +18,8 @@ class History:
     """State that the planner carries from one plan to the next: copies of all arrays that are declared as such.
 
     Attributes:
-        arrays: each array by its name, such as "previous_controls", with a leading axis B; see `aero_planner.arrays` and
-            the stages.
+        arrays: each array by its name, such as "previous_controls", with a leading axis B; see `aero_planner.arrays`
+            and the stages.
     """
 
     arrays: dict[str, NDArray[Any]]

@@ -1,4 +1,4 @@
-"""The stages of a plan, in order: partition, anchors, guides, Stage I, Stage II, selection, and those of the registry."""
+"""The launches of a plan, in order: partition, anchors, guides, Stage I, Stage II, selection, and those of stages."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ class Pipeline(LaunchSequence):
         dry: bool = False,
     ) -> None:
         super().__init__(wp.get_device(str(arrays.params.device)), sizes.W, dry=dry)
-        recorder = Recorder(self.record, config, composition, sizes, tuning, arrays)  # not kept: it refers to this object
+        # Not kept, since it refers to this object.
+        recorder = Recorder(self.record, config, composition, sizes, tuning, arrays)
         _Stages(self, recorder).record()
 
 
@@ -72,16 +73,17 @@ class _Stages:
         s, r, w = self._sequence, self._r, self._r.work
         reset_keys, reset_grid = w.cell_keys.zero_, (w.cell_ends.zero_, w.points_used.zero_)
         predict = self._serial("anchors", *self._branch("anchors", self._predict_state()))
-        place_anchors = self._serial("anchors", *self._branch("anchors", self._place_anchors(), after="anchors"))
-        start = self._flat("start")
-        beside = self._serial("beside", *self._branch("beside", *start))
+        place_anchors = self._serial(
+            "anchors", *self._branch("anchors", *self._flat("start"), self._place_anchors(), after="anchors")
+        )
+        beside = self._flat("beside")
         scan = scan_points(r)
         # No later stage needs the coarse cells. Beside the guides they would delay these.
         pool = self._serial("partition", *self._branch("pool", pool_coarse_cells(r), reset_keys, after="grid"))
         guide_rows = self._flat("guides")
         plan = [
             finish_fine_cells(r),
-            self._serial("partition", s.join("anchors"), s.join("beside")),
+            self._serial("partition", s.join("anchors")),
             *self._named("partition", "cells"),
             self._serial("grid", s.fork("grid"), *reset_grid),  # until the first clearance query
             build_clearance_grid(r),
@@ -90,14 +92,16 @@ class _Stages:
             *self._select(pool),
         ]
         # A GPU starts the first launches one after another, in the order in which they are recorded.
-        s.stages[PLAN] = [predict, scan, place_anchors, beside, *plan]
+        s.stages[PLAN] = [
+            predict, scan, place_anchors, self._serial("beside", *self._branch("beside", *beside)), *plan,
+        ]  # fmt: skip
         s.stages[RESET] = [self._serial("reset", reset_keys, w.worker_dropped.zero_)]
         if r.change is not None:
             arrive = [stamp_sweep(r), *self._flat("arrival")]
             change, order = self._flat("cloud"), order_points(r)
             s.stages[ARRIVAL] = [self._serial(ARRIVAL, *arrive, *change, *order)]
             s.stages[PLAN_AND_ARRIVAL] = [
-                self._serial("beside", *self._branch("beside", *arrive, *start)),
+                self._serial("beside", *self._branch("beside", *arrive, *beside)),
                 predict,
                 self._serial("partition", *change),
                 scan,
@@ -162,6 +166,7 @@ class _Stages:
             [
                 ("rollouts", self._sample_rollouts(first, end - first)),
                 ("clearance", s.join("grid")),
+                ("clearance", s.join("beside")),
                 ("clearance", self._query_clearance(first, end - first)),
                 ("update", self._update_controls(first, end - first)),
             ]
@@ -267,6 +272,6 @@ class _Stages:
             selection.commit_plan(r.tuning, r.composition),
             (r.sizes.B, r.tuning.threads_per_instance),
             inputs=[r.problem, r.start, r.params, r.sizes.M, r.views],
-            outputs=[r.guides, r.rollouts, r.scores, r.choice, r.previous],
+            outputs=[r.rollouts, r.scores, r.choice, r.previous],
             block_dim=32,
         )

@@ -18,6 +18,8 @@ _PER_INSTANCE = frozenset({
     "quaternions", "stage2_cost", "goal_cost", "collision_cost", "clearance",
 })  # fmt: skip
 """Arrays with rows of the M instances and the braking candidates, of which a plan shows the instances."""
+_OF_GUIDES = frozenset({"anchors", "guide_coefficients", "guides"})
+"""Arrays in which a plan shows those of what is flown in the place of the instance that it has replaced."""
 _ARRAYS = _PER_INSTANCE | {
     "fine_range", "continued_cells", "safe_range", "safe_direction", "filtered_points", "stage1_cost",
 }  # fmt: skip
@@ -108,7 +110,7 @@ class _PlanArrays:
             raise AttributeError(f"a plan has no attribute {name!r}")
         array, B = self._values[_SOURCES.get(name, name)], self._drones
         if name in _PER_INSTANCE:
-            array = array[:, : self._instances]
+            array = self._with_replacement(array) if name in _OF_GUIDES else array[:, : self._instances]
         match name:
             case "fine_range":
                 array = array.reshape(B, *self._config.fine_shape)
@@ -124,6 +126,14 @@ class _PlanArrays:
                 clouds = zip(array, self._values["occupied"] != 0, strict=True)
                 array = [cloud.take(np.flatnonzero(occupied), axis=0) for cloud, occupied in clouds]
         return self.per_drone(array)
+
+    def _with_replacement(self, array: NDArray[Any]) -> NDArray[Any]:
+        shown = array[:, : self._instances]
+        drones = np.flatnonzero(self._values["braking_instance"] >= 0)
+        if drones.size:
+            shown = shown.copy()
+            shown[drones, self._values["best"][drones]] = array[drones, self._values["flown"][drones]]
+        return shown
 
     def _kinds(self) -> tuple[str, ...]:
         kinds = list(self._config.kinds)

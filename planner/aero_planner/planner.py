@@ -18,6 +18,7 @@ from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Size
 from aero_planner.cloud import Cloud, Points
 from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
+from aero_planner.cost_terms import CostTerms, evaluate_terms
 from aero_planner.device.kernel_tuning import CPU, CUDA
 from aero_planner.device.params import Params, pack
 from aero_planner.history import History, kept_arrays
@@ -28,7 +29,7 @@ from aero_planner.pipeline import ARRIVAL, PLAN_AND_ARRIVAL, Pipeline
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
-from aero_planner.recorder import PlannerArrays, stage_groups
+from aero_planner.recorder import PlannerArrays, Recorder, stage_groups
 from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
@@ -130,12 +131,14 @@ class Planner:
         # Seeds may be of any size.
         self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
 
-    def _make_pipeline(self) -> Pipeline:
+    def _arrays(self) -> PlannerArrays:
         change = self._memory.change if self._memory is not None and self._scanned is self._memory.arrays else None
-        arrays = PlannerArrays(
+        return PlannerArrays(
             self._inputs.arrays, self._outputs.arrays, self._work, self._stages, self._scanned, change, self._params
         )
-        return Pipeline(self._config, self._composition, self._sizes, self._tuning, arrays)
+
+    def _make_pipeline(self) -> Pipeline:
+        return Pipeline(self._config, self._composition, self._sizes, self._tuning, self._arrays())
 
     def _scan(self, cloud: CloudArrays) -> None:
         """Plan from this cloud from now on."""
@@ -254,7 +257,9 @@ class Planner:
         Sweeps that `store_sweep` stores in turn are thinned when `whole` newer ones follow, see `Sweeps`. Each drone
         forgets those before its newest `remembered` ones; None forgets none.
         """
-        self._memory = SweepMemory(self._device, self._batch, sweeps=sweeps, points=points, whole=whole, remembered=remembered)
+        self._memory = SweepMemory(
+            self._device, self._batch, sweeps=sweeps, points=points, whole=whole, remembered=remembered
+        )
         self._scan(self._memory.arrays)
 
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
@@ -388,6 +393,35 @@ class Planner:
         if not sweeps:
             self._forget_sweeps()
         return PLAN_AND_ARRIVAL if self._memory.take_change() else PLAN
+
+    def cost_terms(self, instances: Sequence[int] = (), samples: Sequence[tuple[int, int]] = ()) -> CostTerms:
+        """Return the costs of rollouts of the last plan term by term: the functions whose sums the planner has used.
+
+        With a batch they are those of the first drone. The planner must have planned, and nothing may have changed it
+        since.
+
+        Args:
+            instances: instances, for their Stage II rollouts.
+            samples: instance and sample of Stage I rollouts, which follow those.
+
+        Raises:
+            ValueError: there is no such instance or sample.
+        """
+        M, K = self._sizes.M, self._sizes.K
+        for m, k in (*((m, 0) for m in instances), *samples):
+            if not (0 <= m < M and 0 <= k < K):
+                raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
+        optimised: Any = self._outputs.arrays.controls.numpy()
+        sampled: Any = self._work.sample_controls.numpy() if samples else None
+        controls = [optimised[0, m] for m in instances] + [sampled[m, :, :, k] for m, k in samples]
+        rows = [(0, m) for m in (*instances, *(m for m, _ in samples))]
+        recorder = Recorder(
+            lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
+        )
+        kinds = self._config.kinds
+        previous_index = kinds.index("previous") if "previous" in kinds else -1
+        shape = (max(len(rows), 1), self._sizes.N, 4)
+        return evaluate_terms(recorder, rows, np.reshape(controls, shape) if rows else np.zeros(shape), previous_index)
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.

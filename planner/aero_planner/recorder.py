@@ -111,9 +111,7 @@ class Recorder:
             clearance=o.clearance, state_clearance=w.state_clearance, static_clearance=w.static_clearance,
             least_clearance=w.least_clearance,
         )  # fmt: skip
-        self.choice = bundle(
-            records.Choice, best=o.best, status=o.status, replaced=o.braking_instance, flown=w.flown
-        )
+        self.choice = bundle(records.Choice, best=o.best, status=o.status, replaced=o.braking_instance, flown=o.flown)
         self.previous = bundle(
             records.PreviousPlan, tick=w.tick, time=w.previous_time, controls=w.previous_controls,
             start_control=w.previous_start_control, end=w.previous_end,

@@ -1,8 +1,8 @@
 """What a planner is made of besides the paper: stages, cost terms and vehicle models, by name.
 
 Those that ship are listed here. Another distribution adds its own by entry points in the groups `aero_planner.stages`,
-`aero_planner.cost_terms` and `aero_planner.models`, a script by `add`. Everything is loaded when it is first needed: the
-parameters when the configuration is imported, kernels when a planner is made.
+`aero_planner.cost_terms` and `aero_planner.models`, a script by `add`. Everything is loaded when it is first needed:
+the parameters when the configuration is imported, kernels when a planner is made.
 """
 
 from __future__ import annotations
@@ -80,7 +80,8 @@ def load_stage(name: str) -> Any:
 
 def added_sections() -> dict[str, type[ParameterSection]]:
     """Return the parameter sections of all stages, and of cost terms and models that bring one, by name."""
-    stages = [importlib.import_module(f"{load('stages', name).__name__}.parameters").Parameters for name in names("stages")]
+    packages = [load("stages", name).__name__ for name in names("stages")]
+    stages = [importlib.import_module(f"{package}.parameters").Parameters for package in packages]
     brought = [
         part.parameters
         for kind in ("cost_terms", "models")

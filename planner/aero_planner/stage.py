@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import warp as wp
-
-if TYPE_CHECKING:
-    from aero_planner.costs import CostTerm
-    from aero_planner.recorder import Recorder
+from aero_planner.costs.cost_term import CostTerm
 
 Launches = list[Callable[[], Any]]
 
@@ -31,11 +27,11 @@ class Hooks:
         fallback: (b, f: Fallback, views, c) -> Fallback: what is flown if no instance is admissible.
     """
 
-    estimate: wp.Function | None = None
-    spread: wp.Function | None = None
-    clearance: wp.Function | None = None
-    admissible: wp.Function | None = None
-    fallback: wp.Function | None = None
+    estimate: Callable[..., Any] | None = None
+    spread: Callable[..., Any] | None = None
+    clearance: Callable[..., Any] | None = None
+    admissible: Callable[..., Any] | None = None
+    fallback: Callable[..., Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,10 +51,11 @@ class Stage:
         hooks: functions for the kernels of the core.
         terms: cost terms.
         stopping_rows: number of rows of candidates that it appends to those that stop.
-        launches: by place of the pipeline, the function that records its launches there. The places, in order:
+        launches: by place of the pipeline, the function of a `Recorder` that records its launches there. The places:
             "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
             "cloud": after that, before the points are scanned, to change them;
-            "start": beside everything up to the fine cells;
+            "start": after the state is predicted, before the anchors are placed;
+            "beside": beside everything up to the first clearance query;
             "cells": after the fine cells are known, before the points are sorted into the grid;
             "guides": beside the guides, to write those of its own rows;
             "rollouts": after the Stage II rollouts, beside their evaluation;
@@ -77,4 +74,4 @@ class Stage:
     hooks: Hooks = field(default_factory=Hooks)
     terms: tuple[CostTerm, ...] = ()
     stopping_rows: int = 0
-    launches: dict[str, Callable[[Recorder], list[list[Launches]]]] = field(default_factory=dict)
+    launches: dict[str, Callable[[Any], list[list[Launches]]]] = field(default_factory=dict)

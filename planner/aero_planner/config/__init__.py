@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from aero_planner.parameters import ParameterInfo, ParameterSection, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
@@ -10,6 +9,7 @@ from aero_planner.config.sections.costs import CostConfig
 from aero_planner.config.sections.partition import PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
 from aero_planner.config.sections.vehicle import VehicleConfig
+from aero_planner.parameters import ParameterInfo, ParameterSection, SectionedConfig, Value, did_you_mean
 
 __all__ = [
     "AnchorConfig",

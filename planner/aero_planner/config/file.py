@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from aero_planner.parameters import ContradictionError, ParameterInfo, SectionedConfig, Value, did_you_mean
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
 from aero_planner.output_files import whole_file
+from aero_planner.parameters import ContradictionError, ParameterInfo, SectionedConfig, Value, did_you_mean
 from aero_planner.user_file import open_user_file
 
 Config = TypeVar("Config", bound=SectionedConfig)

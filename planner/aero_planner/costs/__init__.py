@@ -1,6 +1,6 @@
 """Every cost term, and their sums S1 and S2.
 
-`terms` lists those that ship; a stage can bring one, and so can anybody: see `CostTerm` and `examples/own_cost_term.py`.
+`terms` lists those that ship. A stage can bring others, and so can anybody: see `examples/own_cost_term.py`.
 """
 
 from __future__ import annotations

@@ -2,7 +2,9 @@
 
 # Postponed annotations are left out: Warp structs need the types themselves.
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
@@ -59,7 +61,7 @@ class CostTerm:
     sum: str = ""
     in_stage1: bool = True
     in_stage2: bool = True
-    running: wp.Function | None = None
-    obstacle: wp.Function | None = None
-    terminal: wp.Function | None = None
+    running: Callable[..., Any] | None = None
+    obstacle: Callable[..., Any] | None = None
+    terminal: Callable[..., Any] | None = None
     parameters: type[ParameterSection] | None = None

@@ -9,10 +9,10 @@ import warp as wp
 from aero_planner.composition import Composition
 from aero_planner.device.hook_records import Spread
 from aero_planner.device.params import Params
-from aero_planner.kernels.partition import COLUMNS, ROWS, cell_of_direction, longest_lookahead, safest_fine_cell
-from aero_planner.kernels.prediction import flown_controls, time_since_plan
 from aero_planner.device.records import Cells, PreviousPlan, Problem, Start
 from aero_planner.device.rotations import heading, quat_from_heading, quat_inverse_rotate, quat_rotate
+from aero_planner.kernels.partition import COLUMNS, ROWS, cell_of_direction, longest_lookahead, safest_fine_cell
+from aero_planner.kernels.prediction import flown_controls, time_since_plan
 
 wp.set_module_options({"enable_backward": False})
 
@@ -55,7 +55,7 @@ def place_anchors(composition: Composition) -> wp.Kernel:
         initial_directions: wp.array2d(dtype=wp.vec3),
         initial_endpoints: wp.array2d(dtype=wp.vec3),
     ):
-        """Place the initial endpoints p0 + l d, with d spaced around the azimuth and elevation of the goal in the world.
+        """Place the initial endpoints p0 + l d, with d spaced around azimuth and elevation of the goal in the world.
 
         `initial_directions` are d in the body frame. The thread of the first anchor also finds the controls in effect
         and derives the velocity and attitude that the goal leaves open; see `Goal`. Launched over [B, M_h M_v].

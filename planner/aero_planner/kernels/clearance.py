@@ -16,9 +16,9 @@ import warp as wp
 
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
-from aero_planner.kernels.partition import cells_of_thread, farthest
 from aero_planner.device.records import Cells, Problem, grid_struct
 from aero_planner.device.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
+from aero_planner.kernels.partition import cells_of_thread, farthest
 
 wp.set_module_options({"enable_backward": False})
 
@@ -250,9 +250,7 @@ def clearance_at(width: int, threads: int) -> wp.Function:
     Grid: Any = grid_struct(width)
 
     @wp.func
-    def clearance_at(
-        x: wp.vec3, limit: float, b: int, thread: int, center: wp.vec3, size: float, grid: Grid
-    ) -> float:
+    def clearance_at(x: wp.vec3, limit: float, b: int, thread: int, center: wp.vec3, size: float, grid: Grid) -> float:
         """Return the smaller of `limit` and the distance from x to the nearest point [m].
 
         `limit` must not exceed `size`, the width of a cell.

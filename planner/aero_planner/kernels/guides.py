@@ -7,13 +7,13 @@ import functools
 import warp as wp
 
 from aero_planner.composition import Composition
-from aero_planner.kernels.anchors import safe_anchor
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
-from aero_planner.kernels.prediction import mean_control, time_since_plan
 from aero_planner.device.quintics import Quintic, guide_position, quintic
 from aero_planner.device.records import Cells, GuideSet, PreviousPlan, Problem, Start
 from aero_planner.device.rotations import heading, quat_from_heading, quat_rotate
+from aero_planner.kernels.anchors import safe_anchor
+from aero_planner.kernels.prediction import mean_control, time_since_plan
 
 wp.set_module_options({"enable_backward": False})
 

@@ -16,8 +16,8 @@ from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.records import Cells, CloudSweeps, Problem
 from aero_planner.device.rotations import near_atan2, quat_rotate
-from aero_planner.kernels.shells import SHELLS, last_shell
 from aero_planner.device.warp_ops import add_count, minimum_over, near_root, read_key, read_vector
+from aero_planner.kernels.shells import SHELLS, last_shell
 
 wp.set_module_options({"enable_backward": False})
 
@@ -273,9 +273,7 @@ def safest_fine_cell(lanes: int) -> wp.Function:
     Reals = wp.types.vector(length=width, dtype=wp.float32)
 
     @wp.func
-    def safest_fine_cell(
-        cells: Cells, b: int, lane: int, coarse_row: int, coarse_column: int, toward: wp.vec3
-    ):
+    def safest_fine_cell(cells: Cells, b: int, lane: int, coarse_row: int, coarse_column: int, toward: wp.vec3):
         """Return the largest range in a coarse cell and its direction; among equal ranges that nearest to `toward`."""
         fine_cells = cells.rows // ROWS
         best_range = float(-1.0)

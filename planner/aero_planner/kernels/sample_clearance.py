@@ -8,6 +8,9 @@ from typing import Any
 import warp as wp
 
 from aero_planner.composition import Composition
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.device.records import Problem, grid_struct
 from aero_planner.kernels.clearance import (
     GRID,
     ROUNDING,
@@ -19,9 +22,6 @@ from aero_planner.kernels.clearance import (
     scan_packs,
     smallest,
 )
-from aero_planner.device.kernel_tuning import KernelTuning
-from aero_planner.device.params import Params
-from aero_planner.device.records import Problem, grid_struct
 
 wp.set_module_options({"enable_backward": False})
 

@@ -17,7 +17,7 @@ from aero_planner.costs.cost_term import End, Step
 from aero_planner.device.hook_records import Fallback
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
-from aero_planner.device.records import Choice, GuideSet, PreviousPlan, Problem, Rollouts, Scores, Start, grid_struct
+from aero_planner.device.records import Choice, PreviousPlan, Problem, Rollouts, Scores, Start, grid_struct
 from aero_planner.device.warp_ops import minimum_over, read_lane, read_lane_integer, sum_over
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.guides import BRAKING_FAN
@@ -316,7 +316,6 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         # in
         views: Views,
         # in and out
-        guides: GuideSet,
         rollouts: Rollouts,
         scores: Scores,
         # out
@@ -355,7 +354,6 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             flown = fall_back(b, instances, status, safe, scores, views, c)
         for t in range(lane, steps + 1, LANES):
             if flown != m:
-                guides.positions[b, m, t] = guides.positions[b, flown, t]
                 rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]
                 rollouts.velocities[b, m, t] = rollouts.velocities[b, flown, t]
                 rollouts.quaternions[b, m, t] = rollouts.quaternions[b, flown, t]
@@ -372,12 +370,9 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         choice.flown[b] = flown
         choice.replaced[b] = wp.where(flown != m, m, -1)
         if flown != m:
-            guides.anchors[b, m] = guides.anchors[b, flown]
             scores.goal_cost[b, m] = scores.goal_cost[b, flown]
             scores.collision_cost[b, m] = scores.collision_cost[b, flown]
             scores.stage2_cost[b, m] = scores.stage2_cost[b, flown]
-            for i in range(6):
-                guides.coefficients[b, m, i] = guides.coefficients[b, flown, i]
         previous.start_control[b] = start.control[b]
         previous.end[b] = rollouts.positions[b, flown, steps]
         previous.tick[b] = previous.tick[b] + 1

@@ -11,8 +11,8 @@ import warp as wp
 
 from aero_planner.device.params import Params
 from aero_planner.device.records import CloudSweeps, Problem
-from aero_planner.kernels.sweep_change import SweepChange, changed_row
 from aero_planner.device.warp_ops import claim_slot
+from aero_planner.kernels.sweep_change import SweepChange, changed_row
 from aero_planner.sweeps import HASH_FACTORS, THINNING
 
 wp.set_module_options({"enable_backward": False})

@@ -1,8 +1,8 @@
 """A vehicle that is commanded by its acceleration and yaw rate, as PX4's offboard mode and others take them.
 
 State x = [p, q, v, a], control u = (a_c, psi_rate): dp = v, dv = a + d - k v, and the acceleration a in effect follows
-the command a_c with a bounded jerk. The autopilot turns the thrust to a - g; q is that attitude, with its yaw angle psi.
-The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk of rate_xy_max |g|, by which the
+the command a_c with a bounded jerk. The autopilot turns the thrust to a - g; q is that attitude, with its yaw psi. The
+bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk of rate_xy_max |g|, by which the
 thrust vector turns at its largest rate in hover.
 """
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,9 +16,9 @@ class VehicleModel:
     """A vehicle whose state is position p, velocity v and attitude q, and whose control is four numbers.
 
     The *acting* control is the one in effect, which may follow the commands with a lag; it belongs to the state. Every
-    function is a `@wp.func`. p and v are vec3 [m, m/s] in the world frame, q is a unit quaternion vec4 (w, x, y, z; body
-    to world), controls are vec4, c holds the live parameters. Where a signature says K, it is the model's own struct of
-    constants. In a model from outside the package, c is annotated with `typing.Any`.
+    function is a `@wp.func`. p and v are vec3 [m, m/s] in the world frame, q is a unit quaternion vec4 (w, x, y, z;
+    body to world), controls are vec4, c holds the live parameters. Where a signature says K, it is the model's own
+    struct of constants. In a model from outside the package, c is annotated with `typing.Any`.
 
     Args:
         name: name of the model, a value of `vehicle.model`.
@@ -39,14 +40,14 @@ class VehicleModel:
     name: str
     label: str
     controls: tuple[tuple[str, str], ...]
-    clamp: wp.Function
-    hover: wp.Function
-    noise: wp.Function
-    respond: wp.Function
-    constants: wp.Function
-    step: wp.Function
-    acceleration: wp.Function
-    follow: wp.Function
+    clamp: Callable[..., Any]
+    hover: Callable[..., Any]
+    noise: Callable[..., Any]
+    respond: Callable[..., Any]
+    constants: Callable[..., Any]
+    step: Callable[..., Any]
+    acceleration: Callable[..., Any]
+    follow: Callable[..., Any]
     parameters: type[ParameterSection] | None = None
 
 

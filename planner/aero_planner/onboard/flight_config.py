@@ -8,7 +8,6 @@ from pathlib import Path
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ConfigFile
-from aero_planner.parameters import ContradictionError
 from aero_planner.config.yaml_entries import Entry
 from aero_planner.onboard.settings import (
     OnboardConfig,
@@ -17,6 +16,7 @@ from aero_planner.onboard.settings import (
     load_any,
     load_onboard,
 )
+from aero_planner.parameters import ContradictionError
 
 FlightConfig = tuple[PlannerConfig, OnboardConfig]
 

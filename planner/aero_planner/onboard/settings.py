@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
+from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER
 from aero_planner.parameters import (
     ContradictionError,
     ParameterSection,
@@ -18,7 +19,6 @@ from aero_planner.parameters import (
     switch,
     text,
 )
-from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER
 from aero_planner.sweeps import THINNING
 
 

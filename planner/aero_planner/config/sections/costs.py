@@ -91,7 +91,8 @@ class CostConfig(ParameterSection, section="costs"):
         label="Greatest height", group="Obstacles",
     )  # fmt: skip
     q_blocked: float = live(
-        300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the straight path from the final state "
-        "to the goal, as far as the look-ahead distance; 0 in the paper. It is blocked where the clearance is below d_min.",
+        300.0, "1/m", 0.0, 1e6, "Weight of the cost-to-go, the blocked length of the straight path from the final "
+        "state to the goal, as far as the look-ahead distance; 0 in the paper. It is blocked where the clearance is "
+        "below d_min.",
         label="Blocked path weight", group="Cost-to-go", basic=True,
     )  # fmt: skip

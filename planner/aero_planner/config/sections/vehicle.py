@@ -13,8 +13,8 @@ class VehicleConfig(ParameterSection, section="vehicle"):
     """Vehicle: its model and its limits."""
 
     model: str = choice(
-        "ctbr", names("models"), "Vehicle model: what the controls are, and how the state follows them. ctbr, as in the "
-        "paper: thrust and body rates. acceleration: acceleration and yaw rate, for autopilots that take these.",
+        "ctbr", names("models"), "Vehicle model: what the controls are, and how the state follows them. ctbr, as in "
+        "the paper: thrust and body rates. acceleration: acceleration and yaw rate, for autopilots that take these.",
         label="Vehicle model", live=False,
     )  # fmt: skip
     mass: float = live(1.0, "kg", 0.05, 50.0, "Mass of the vehicle.", scale="log", symbol="m")

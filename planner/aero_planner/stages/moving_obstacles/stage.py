@@ -29,7 +29,10 @@ class Arrays:
         "Nearest range of each bin of the recent sweeps, as an integer; then the number of circles of each block.",
     )  # fmt: skip
     circle_center: wp.array = array(
-        wp.vec2, f"B {_RECENT} {_BINS}", "m", "Centre of the circle of the segment that begins at each bin, world frame."
+        wp.vec2,
+        f"B {_RECENT} {_BINS}",
+        "m",
+        "Centre of the circle of the segment that begins at each bin.",
     )
     circle_radius: wp.array = array(wp.float32, f"B {_RECENT} {_BINS}", "m", "Radius of this circle; 0 for none.")
     segment_count: wp.array = array(wp.int32, f"B {_RECENT}", "", "Number of segments of each of these sweeps.")
@@ -41,7 +44,12 @@ class Arrays:
     found_velocity: wp.array = array(wp.vec2, f"B {_STARTS} {_TRACKS}", "m/s", "Their velocities, world frame.")
     found_radius: wp.array = array(wp.float32, f"B {_STARTS} {_TRACKS}", "m", "Their radii; -1 for none.")
     track_time: wp.array = array(
-        wp.float64, "B", "s", "When the tracks are where they are; NaN: none are known.", kept="sweeps", initial=math.nan
+        wp.float64,
+        "B",
+        "s",
+        "When the tracks are where they are; NaN: unknown.",
+        kept="sweeps",
+        initial=math.nan,
     )
     track_count: wp.array = array(wp.int32, "B", "", "Number of tracks.", kept="sweeps")
     track_position: wp.array = array(wp.vec2, f"B {_TRACKS}", "m", "Their axes, world frame.")
@@ -62,9 +70,7 @@ class Outputs:
 def _track(r: Recorder) -> list[list[Launches]]:
     """Find what moves from the sweep that arrives and those before it."""
     a, B = r.stage_arrays("moving_obstacles"), r.sizes.B
-    circles = bundle(
-        segments.Circles, center=a.circle_center, radius=a.circle_radius, count=a.scan[:, :, _BINS:]
-    )
+    circles = bundle(segments.Circles, center=a.circle_center, radius=a.circle_radius, count=a.scan[:, :, _BINS:])
     listed = bundle(segments.Segments, count=a.segment_count, center=a.segment_center, radius=a.segment_radius)
     found = bundle(tracks.FoundTracks, position=a.found_position, velocity=a.found_velocity, radius=a.found_radius)
     sources = [r.change, r.sweeps, r.params, a.scan]
@@ -101,5 +107,5 @@ STAGE = Stage(
     outputs=Outputs,
     view=tracks.DynamicObstacles,
     hooks=Hooks(clearance=tracks.clear_of_obstacles),
-    launches={"arrival": _track, "start": _place},
+    launches={"arrival": _track, "beside": _place},
 )

@@ -17,7 +17,17 @@ from aero_planner.device.hook_records import Fallback
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.quintics import quintic
-from aero_planner.device.records import Cells, Choice, GuideSet, PreviousPlan, Problem, Rollouts, Scores, Start, grid_struct
+from aero_planner.device.records import (
+    Cells,
+    Choice,
+    GuideSet,
+    PreviousPlan,
+    Problem,
+    Rollouts,
+    Scores,
+    Start,
+    grid_struct,
+)
 from aero_planner.device.rotations import heading, quat_inverse_rotate
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at
 from aero_planner.kernels.guides import FAN_ANGLE, braking_end, write_guide

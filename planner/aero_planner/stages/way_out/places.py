@@ -9,7 +9,8 @@ import warp as wp
 from aero_planner.costs.cost_term import End
 from aero_planner.device.hook_records import Spread
 from aero_planner.device.params import Params
-from aero_planner.device.records import Problem, Start
+from aero_planner.device.records import PreviousPlan, Problem
+from aero_planner.kernels.prediction import time_since_plan
 
 wp.set_module_options({"enable_backward": False})
 
@@ -71,9 +72,10 @@ def look_around(b: int, s: Spread, views: Any, c: Any) -> Spread:
 def remember_place(
     # problem
     problem: Problem,
-    start: Start,
     # configuration
     params: wp.array(dtype=Params),
+    # in
+    previous: PreviousPlan,
     # in and out
     memory: Places,
 ):
@@ -86,11 +88,12 @@ def remember_place(
     c = params[b]
     if c.q_escape == 0.0:
         return
+    since = time_since_plan(b, problem.time[b], previous, c)
     p = problem.position[b]
     goal = problem.goal[b]
     count = memory.place_count[b]
     nearest = memory.place_nearest[b]
-    idle = memory.place_idle[b] + start.period[b]
+    idle = memory.place_idle[b] + wp.where(since > 0.0, since, c.replan_period)
     distance = wp.length(goal - p)
     if not (wp.length(goal - memory.place_goal[b]) < 0.1):
         memory.place_goal[b] = goal

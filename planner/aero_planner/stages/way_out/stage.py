@@ -18,9 +18,7 @@ from aero_planner.stages.way_out.places import PLACES, Places, escape_cost, look
 class Arrays:
     """The tabu memory."""
 
-    places: wp.array = array(
-        wp.vec3, f"B {int(PLACES)}", "m", "Places without progress, world frame.", kept="plans"
-    )
+    places: wp.array = array(wp.vec3, f"B {int(PLACES)}", "m", "Places without progress, world frame.", kept="plans")
     place_count: wp.array = array(wp.int32, "B", "", "Number of places remembered for the goal.", kept="plans")
     place_goal: wp.array = array(
         wp.vec3, "B", "m", "Goal for which they are remembered, world frame.", kept="plans", initial=math.inf
@@ -34,7 +32,7 @@ class Arrays:
 
 
 def _remember(r: Recorder) -> list[list[Launches]]:
-    inputs = [r.problem, r.start, r.params]
+    inputs = [r.problem, r.params, r.previous]
     return [[[r.record(remember_place, (r.sizes.B,), inputs=inputs, outputs=[r.view("way_out")])]]]
 
 
@@ -45,5 +43,5 @@ STAGE = Stage(
     view=Places,
     hooks=Hooks(spread=look_around),
     terms=(CostTerm("escape", "escape", terminal=escape_cost),),
-    launches={"end": _remember},
+    launches={"start": _remember},
 )

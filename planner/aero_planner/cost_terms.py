@@ -1,0 +1,82 @@
+"""The costs of rollouts term by term, as the planner itself computes them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from aero_planner.costs.cost_term import CostTerm
+from aero_planner.device.records import bundle
+from aero_planner.kernels.terms import TermValues, write_terms
+from aero_planner.recorder import Recorder
+
+Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class CostTerms:
+    """Terms of n rollouts at each of N steps. Terminal terms count at the last step."""
+
+    terms: tuple[CostTerm, ...]
+    """The T terms: names, labels, and whether each is a part of S1 and of S2."""
+    values: Array
+    """Shape [n, T, N]."""
+    positions: Array
+    """States after each control [m], shape [n, N, 3], world frame."""
+    clearance: Array
+    """Distance to the nearest obstacle after each control [m], shape [n, N], truncated where it costs nothing."""
+
+    @property
+    def stage1_cost(self) -> Array:
+        """S1, shape [n]."""
+        return self.values[:, [term.in_stage1 for term in self.terms]].sum(axis=(1, 2))
+
+    @property
+    def stage2_cost(self) -> Array:
+        """S2, shape [n]."""
+        return self.values[:, [term.in_stage2 for term in self.terms]].sum(axis=(1, 2))
+
+
+def evaluate_terms(
+    recorder: Recorder, rows: Sequence[tuple[int, int]], controls: NDArray[Any], previous_index: int
+) -> CostTerms:
+    """Return the terms of rollouts from the start of the planner's last plan.
+
+    Args:
+        recorder: the arrays of the planner.
+        rows: drone and instance of each rollout, whose guide it tracks.
+        controls: controls of each rollout, shape [n, N, 4].
+        previous_index: instance of the previous plan, which has no guide; -1 for none.
+    """
+    r, device = recorder, recorder.params.device
+    terms, count, steps = r.composition.terms, len(rows), r.sizes.N
+    with wp.ScopedDevice(device):
+        # A launch of size 0 is no launch, and an array of size 0 has no memory.
+        rows_array = wp.array(np.array(rows or [(0, 0)], dtype=np.int32), dtype=wp.vec2i)
+        controls_array = wp.array(np.ascontiguousarray(controls, dtype=np.float32), dtype=wp.vec4)
+        values = bundle(
+            TermValues,
+            values=wp.zeros((max(count, 1), steps, len(terms)), dtype=wp.float32),
+            positions=wp.zeros((max(count, 1), steps), dtype=wp.vec3),
+            clearance=wp.zeros((max(count, 1), steps), dtype=wp.float32),
+        )
+        wp.launch(
+            write_terms(r.tuning, r.composition),
+            count,
+            inputs=[
+                r.problem, r.start, r.params, previous_index, r.grid, r.views, r.outputs.guides, rows_array,
+                controls_array,
+            ],
+            outputs=[values],
+        )  # fmt: skip
+    return CostTerms(
+        terms,
+        np.moveaxis(values.values.numpy(), 2, 1)[:count],
+        values.positions.numpy()[:count],
+        values.clearance.numpy()[:count],
+    )
