@@ -278,7 +278,7 @@ def fallback(composition: Composition) -> wp.Function:
         """Return the row that is flown: the braking candidate with the largest clearance.
 
         Those that are clear of static obstacles come first: what seems to move may be an error. Stages may choose
-        another row.
+        another row, also an instance.
         """
         f = Fallback()
         f.status = status
@@ -352,6 +352,7 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         flown = m
         if status != OK:
             flown = fall_back(b, instances, status, safe, scores, views, c)
+            m = wp.where(flown < instances, flown, m)
         for t in range(lane, steps + 1, LANES):
             if flown != m:
                 rollouts.positions[b, m, t] = rollouts.positions[b, flown, t]

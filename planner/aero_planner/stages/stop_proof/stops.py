@@ -44,6 +44,9 @@ STOPS = wp.constant(6)
 quarter, half and all of the horizon."""
 _STOPPED = wp.constant(1.0)
 """Speed below which a braking manoeuvre counts as a stop at its end [m/s]."""
+_WIDEST = wp.constant(0.5)
+"""Share of the clearance that is demanded of a stop above which one that is not clear is still worth more than braking
+that is not clear either: with less, contact is certain, and braking makes it slow."""
 _NO_SAFE_CANDIDATE = wp.constant(int(PlanStatus.NO_SAFE_CANDIDATE))
 
 
@@ -207,7 +210,7 @@ def evaluate_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         stops: Stops,
     ):
         """Lower the clearance of every stop to the least of its states, those of the candidate before the switch
-        included; of one that is not clear, it may stay larger.
+        included. Below the share `_WIDEST` of what is demanded, it may stay larger than the least.
 
         Of 2 N positions, the first half are those of the braking manoeuvre, the others those of the candidate. Dynamic
         obstacles that are near at the start count as farther away. Launched over [B, stops of this share, 2 N / ROWS,
@@ -225,11 +228,12 @@ def evaluate_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         allowance = demanded - clear_stop(scores.state_clearance[b, m, last], c)
         switch = switch_step(i % STOPS, steps, start.period[b], c.dt)
         size = cell_size(c)
+        floor = _WIDEST * demanded
         least = float(c.safe_clearance)
         for row in range(group * ROWS, wp.min(group * ROWS + ROWS, 2 * steps)):
-            # Both branches are skipped once the stop is known not to be clear.
+            # Both branches are skipped once the stop is known to be of no use.
             t = row % steps
-            if row < steps and least >= demanded:
+            if row < steps and least >= floor:
                 x = stops.stop_positions[b, i, t + 1]
                 margin = c.speed_margin * wp.length(x - stops.stop_positions[b, i, t]) / c.dt
                 limit = wp.min(c.safe_clearance + margin, size)
@@ -238,7 +242,7 @@ def evaluate_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
                 time = float(switch + t + 1) * c.dt
                 d = wp.min(d, dynamic(wp.INF, x, time, b, views, c) + allowance) - margin
                 least = wp.min(least, wp.where(is_occluded(b, x, problem, cells), 0.0, d))
-            elif row >= steps and t < switch and least >= demanded:
+            elif row >= steps and t < switch and least >= floor:
                 d = wp.min(scores.static_clearance[b, m, t], scores.state_clearance[b, m, t] + allowance)
                 least = wp.min(least, wp.where(is_occluded(b, positions[b, m, t + 1], problem, cells), 0.0, d))
         if thread == 0 and least < c.safe_clearance:
@@ -248,13 +252,16 @@ def evaluate_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
 
 
 @wp.func
-def first_clear_stop(b: int, m: int, demanded: float, stop_clearance: wp.array2d(dtype=float)) -> int:
-    """Return the first clear stop of an instance, or -1: what is still unseen may be in the way of a later one."""
-    found = int(-1)
-    for j in range(STOPS):
-        if found < 0 and stop_clearance[b, m * STOPS + j] >= demanded:
-            found = j
-    return found
+def stop_to_keep(b: int, m: int, demanded: float, stop_clearance: wp.array2d(dtype=float)) -> int:
+    """Return the row of the first clear stop of an instance, or of the widest one if none is clear.
+
+    The first one is kept since what is still unseen may be in the way of a later one.
+    """
+    kept = m * STOPS
+    for i in range(m * STOPS + 1, m * STOPS + STOPS):
+        if stop_clearance[b, kept] < demanded and stop_clearance[b, i] > stop_clearance[b, kept]:
+            kept = i
+    return kept
 
 
 @wp.func
@@ -264,21 +271,24 @@ def has_clear_stop(b: int, m: int, is_admissible: int, views: Any, c: Any) -> in
         return is_admissible
     clearances = views.stop_proof.static_clearance
     demanded = clear_stop(clearances[b, m, clearances.shape[2] - 1], c)
-    return wp.where(first_clear_stop(b, m, demanded, views.stop_proof.stop_clearance) >= 0, 1, 0)
+    kept = stop_to_keep(b, m, demanded, views.stop_proof.stop_clearance)
+    return wp.where(views.stop_proof.stop_clearance[b, kept] >= demanded, 1, 0)
 
 
 @wp.func
 def fly_proven_stop(b: int, f: Fallback, views: Any, c: Any) -> Fallback:
     """Fly the stop that was proven last on while it is clear of static obstacles, see `Hooks.fallback`.
 
-    If neither it nor a braking candidate is, fly what keeps the largest clearance; a braking candidate that evades
-    dynamic obstacles comes before a proven stop that does not.
+    If neither it nor a braking candidate is, fly what keeps the largest clearance, which may be an instance with its
+    widest stop. A braking candidate that evades dynamic obstacles comes before a proven stop that does not.
     """
-    row = views.stop_proof.least_clearance.shape[1] - 1
-    if c.prove_stop != 0 and views.stop_proof.stop_ready[b] != 0 and f.status == _NO_SAFE_CANDIDATE:
+    if c.prove_stop == 0 or f.status != _NO_SAFE_CANDIDATE:
+        return f
+    clearances = views.stop_proof.static_clearance
+    demanded = clear_stop(clearances[b, 0, clearances.shape[2] - 1], c)
+    if views.stop_proof.stop_ready[b] != 0:
+        row = views.stop_proof.least_clearance.shape[1] - 1
         d = views.stop_proof.least_clearance[b, row]
-        clearances = views.stop_proof.static_clearance
-        demanded = clear_stop(clearances[b, 0, clearances.shape[2] - 1], c)
         is_clear = d[1] >= demanded
         better = d[0] > f.clearance[0]
         if is_clear != (f.clearance[1] >= demanded):
@@ -286,6 +296,12 @@ def fly_proven_stop(b: int, f: Fallback, views: Any, c: Any) -> Fallback:
         if better or (is_clear and (f.clearance[0] < demanded or d[0] >= demanded)):
             f.flown = row
             f.clearance = d
+    if f.clearance[1] < demanded and c.prefer_safe != 0:
+        widest = wp.max(f.clearance[0], _WIDEST * demanded)
+        for i in range(views.stop_proof.stop_clearance.shape[1]):
+            if views.stop_proof.stop_clearance[b, i] > widest:
+                widest = views.stop_proof.stop_clearance[b, i]
+                f.flown = i // STOPS
     return f
 
 
@@ -393,14 +409,14 @@ def keep_stop(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         switch = steps
         if choice.replaced[b] < 0:
             demanded = clear_stop(scores.static_clearance[b, m, scores.static_clearance.shape[2] - 1], c)
-            stop = first_clear_stop(b, m, demanded, stops.stop_clearance)
-            switch = switch_step(wp.max(stop, 0), steps, start.period[b], c.dt)
+            stop = stop_to_keep(b, m, demanded, stops.stop_clearance)
+            switch = switch_step(stop % STOPS, steps, start.period[b], c.dt)
         for k in range(lane, 2 * steps, LANES):
             kept = hover(c)
             if k < switch:
                 kept = previous.controls[b, k]
             elif stop >= 0 and k - switch < steps:
-                kept = stops.stop_controls[b, m * STOPS + stop, k - switch]
+                kept = stops.stop_controls[b, stop, k - switch]
             proven.proven_stop[b, k] = kept
         if lane == 0:
             proven.proven_stop_age[b] = 0.0

@@ -18,6 +18,8 @@ PLACES = wp.constant(16)
 """Number of places that are remembered; a new one replaces the oldest."""
 _PROGRESS = wp.constant(0.3)
 """Decrease of the distance to the goal that counts as progress, at most [m]."""
+_AHEAD = wp.constant(2.0)
+"""Distance by which a rollout must end nearer to the goal than the drone has been to cost nothing [m]."""
 _SLOW = wp.constant(3.0)
 """Speed below which the drone looks around [m/s]."""
 
@@ -47,10 +49,16 @@ def escape_depth(p: wp.vec3, b: int, memory: Places, radius: float) -> float:
 
 @wp.func
 def escape_cost(e: End, views: Any, c: Any) -> float:
-    """Return q_escape times the depth of the end of a rollout."""
+    """Return q_escape times the depth of the end of a rollout.
+
+    It fades out where that end is nearer to the goal than the drone has been: what leads there is a way out, although it
+    may end within the neighbourhood of the places in front of a wall.
+    """
     cost = float(0.0)
     if c.q_escape > 0.0:
-        cost = c.q_escape * escape_depth(e.p, e.b, views.way_out, c.radius)
+        nearer = views.way_out.place_nearest[e.b] - wp.length(e.p - views.way_out.place_goal[e.b])
+        share = wp.clamp(1.0 - nearer / _AHEAD, 0.0, 1.0)
+        cost = c.q_escape * share * escape_depth(e.p, e.b, views.way_out, c.radius)
     return cost
 
 
