@@ -51,8 +51,8 @@ def escape_depth(p: wp.vec3, b: int, memory: Places, radius: float) -> float:
 def escape_cost(e: End, views: Any, c: Any) -> float:
     """Return q_escape times the depth of the end of a rollout.
 
-    It fades out where that end is nearer to the goal than the drone has been: what leads there is a way out, although it
-    may end within the neighbourhood of the places in front of a wall.
+    It fades out where that end is nearer to the goal than the drone has been: what leads there is a way out, although
+    it may end within the neighbourhood of the places in front of a wall.
     """
     cost = float(0.0)
     if c.q_escape > 0.0:
