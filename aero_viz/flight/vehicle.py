@@ -66,17 +66,17 @@ class Vehicle:
             self.quaternion_before = wp.clone(self.quaternion)
             self.trail = wp.clone(wp.array([[p] * steps for p in positions], dtype=wp.vec3))
 
-    def fly(self, commands: wp.array, *, finished: wp.array, phase: float = 0.0, tick: int = 0) -> None:
+    def fly(self, commands: wp.array, *, active: wp.array, phase: float = 0.0, tick: int = 0) -> None:
         """Hold one command of a sequence for one period.
 
         Args:
             commands: sequences of F_t [N] and omega [rad/s], vec4 [B, any].
-            finished: int [B]; vehicles with a value other than 0 do not move.
+            active: mask, int [B]; vehicles with 0 do not move.
             phase: position in the sequence of the command to hold, 0 for the first; between two commands, controls are
                 interpolated linearly.
             tick: number of periods flown, which selects the random numbers of the gusts.
         """
-        inputs = [self._parameters, tick, self._seeds, commands, phase, finished]
+        inputs = [self._parameters, tick, self._seeds, commands, phase, active]
         wp.launch(
             fly_kernel,
             len(self.position),

@@ -131,7 +131,7 @@ def fly_kernel(
     # in
     commands: wp.array2d(dtype=wp.vec4),  # [B, any]
     phase: float,
-    finished: wp.array(dtype=int),  # [B]
+    active: wp.array(dtype=int),  # [B]
     # in/out
     positions: wp.array(dtype=wp.vec3),  # [B]
     velocities: wp.array(dtype=wp.vec3),  # [B]
@@ -147,7 +147,7 @@ def fly_kernel(
 ):
     """Hold one command for one tick, see `Vehicle.fly`."""
     b = wp.tid()
-    if finished[b] != 0:
+    if active[b] == 0:
         return
     state = Motion()
     state.position = positions[b]
