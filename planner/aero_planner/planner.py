@@ -239,7 +239,8 @@ class Planner:
                 self._replace_pipeline()
                 raise
         self._write_params(configs)
-        if configs[0].to_dict() != before.to_dict():
+        sections = ("partition", *self._stages)
+        if any(getattr(configs[0], name) != getattr(before, name) for name in sections):
             self._forget_sweeps()  # they may show something else by other parameters
 
     def reserve(self, count: int) -> None:

@@ -11,7 +11,7 @@ from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, guide_position, quintic
 from aero_planner.device.records import Cells, GuideSet, PreviousPlan, Problem, Start
-from aero_planner.device.rotations import heading, quat_from_heading, quat_rotate
+from aero_planner.device.rotations import heading, quat_from_heading, quat_rotate, wrap_angle
 from aero_planner.kernels.anchors import safe_anchor
 from aero_planner.kernels.prediction import mean_control, time_since_plan
 
@@ -56,7 +56,7 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     LANES = wp.constant(tuning.threads_per_instance)
     refine = safe_anchor(tuning.threads_per_instance)
     model = composition.model
-    constants, follow, mean_of = model.constants, model.follow, mean_control(model)
+    constants, step, follow, mean_of = model.constants, model.step, model.follow, mean_control(model)
 
     @wp.kernel(module="unique", enable_backward=False)
     def make_guides(
@@ -114,7 +114,16 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             for t in range(lane, nominal_controls.shape[2], LANES):
                 nominal_controls[b, m, t] = mean_of(b, float(t) + elapsed / c.dt, 1.0, c, previous.controls)
         elif lane == 0:
+            # Only the part of the state that the model needs to follow the guide is computed.
             k = constants(start.disturbance[b], start.drag[b], c.dt, c)
-            follow(b, m, curve, q0, start.command[b], start.control[b], heading_goal, k, c, nominal_controls)
+            yaw_rate = wrap_angle(heading_goal - heading(q0)) / T
+            p = p0
+            v = v0
+            q = q0
+            acting = start.control[b]
+            for t in range(nominal_controls.shape[2]):
+                u = follow(p, v, q, acting, curve, float(t) * c.dt, yaw_rate, k, c)
+                nominal_controls[b, m, t] = u
+                p, v, q, acting = step(p, v, q, acting, u, k)
 
     return tuning.set_options(make_guides)

@@ -12,7 +12,7 @@ import warp as wp
 
 from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, force_at, guide_force
-from aero_planner.device.rotations import heading, quat_multiply, wrap_angle
+from aero_planner.device.rotations import quat_multiply
 from aero_planner.models.vehicle_model import VehicleModel
 
 wp.set_module_options({"enable_backward": False})
@@ -109,24 +109,12 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
 
 @wp.func
 def follow(
-    b: int,
-    i: int,
-    guide: Quintic,
-    q0: wp.vec4,
-    command: wp.vec4,
-    acting: wp.vec4,
-    heading_goal: float,
-    k: Constants,
+    p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
     params: Params,
-    controls: wp.array3d(dtype=wp.vec4),
-):
-    """Write the accelerations of a guide, less disturbance and drag; the heading turns at a constant rate."""
-    steps = controls.shape[2]
-    yaw_rate = wrap_angle(heading_goal - heading(q0)) / (float(steps) * k.dt)
-    required = guide_force(guide, k.disturbance, k.drag)
-    for t in range(steps):
-        a = force_at(required, wp.min((float(t) + 1.0) * k.dt, guide.T))
-        controls[b, i, t] = clamp(wp.vec4(a[0], a[1], a[2], yaw_rate), params)
+) -> wp.vec4:  # fmt: skip
+    """Return the acceleration of a guide at the end of the step, less disturbance and drag."""
+    a = force_at(guide_force(guide, k.disturbance, k.drag), wp.min(time + k.dt, guide.T))
+    return clamp(wp.vec4(a[0], a[1], a[2], yaw_rate), params)
 
 
 ACCELERATION = VehicleModel(

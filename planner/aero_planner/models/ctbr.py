@@ -12,7 +12,7 @@ import warp as wp
 from aero_planner.device.lag import lag_share
 from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, force_at, guide_force
-from aero_planner.device.rotations import heading, near_atan2, quat_inverse_rotate, quat_multiply, wrap_angle
+from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_multiply
 from aero_planner.models.vehicle_model import VehicleModel
 
 wp.set_module_options({"enable_backward": False})
@@ -95,13 +95,6 @@ def _step_factors(q: wp.vec4, s: float) -> wp.vec2:
     unit = 1.0 / wp.sqrt(1.0 - s * s * s * (1.0 / 72.0) + s * s * s * s * (1.0 / 576.0))
     unit = unit * (1.5 - 0.5 * wp.dot(q, q))
     return wp.vec2(unit * (1.0 - s * (1.0 / 2.0) + s * s * (1.0 / 24.0)), unit * (2.0 - s * (1.0 / 3.0)))
-
-
-@wp.func
-def rotate_by_rates(q: wp.vec4, omega: wp.vec3, dt: float) -> wp.vec4:
-    """Return the unit quaternion after dt at constant body rates, the attitude part of `rk4_step`."""
-    factors = _step_factors(q, 0.25 * dt * dt * wp.dot(omega, omega))
-    return factors[0] * q + factors[1] * _half_turn(q, omega, dt)
 
 
 @wp.func
@@ -205,48 +198,26 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
 
 @wp.func
 def follow(
-    b: int,
-    i: int,
-    guide: Quintic,
-    q0: wp.vec4,
-    command: wp.vec4,
-    acting: wp.vec4,
-    heading_goal: float,
-    k: Constants,
+    p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
     params: Params,
-    controls: wp.array3d(dtype=wp.vec4),
-):
-    """Write the controls that follow a guide: F_t and omega from the flat outputs position and heading.
+) -> wp.vec4:  # fmt: skip
+    """Return the control that follows a guide: F_t and omega from the flat outputs position and heading.
 
     The guide determines the thrust vector m (a - g - d + k v) and with it the body z axis. The body rates turn the
-    attitude reached so far to the required axis at the end of each time step, which also corrects an initial attitude
-    that does not fit the guide. The heading turns at a constant rate to that of the goal.
+    attitude to the required axis at the end of the time step, which also corrects an attitude that does not fit the
+    guide.
 
     With a rate lag tau, the rates correct the attitude within dt + 2 tau instead of dt, which is the fastest correction
     that does not overshoot by more than 5 percent, and follow the axis that is required that much later.
     """
-    dt = k.dt
-    steps = controls.shape[2]
-    yaw_rate = wrap_angle(heading_goal - heading(q0)) / (float(steps) * dt)
     required = guide_force(guide, k.g, k.drag)
-    q = q0
-    lead = 2.0 * params.rate_lag
-    f_next = force_at(required, 0.5 * dt)
-    z_next = wp.normalize(force_at(required, wp.min(dt + lead, guide.T)))
-    for t in range(steps):
-        f = f_next
-        z_body = quat_inverse_rotate(q, z_next)
-        # Values that do not depend on the attitude are computed one step early, off the chain of dependent operations.
-        f_next = force_at(required, (float(t) + 1.5) * dt)
-        z_next = wp.normalize(force_at(required, wp.min(float(t + 2) * dt + lead, guide.T)))
-        # The shortest rotation of the body z axis is about e_3 x z_body, by the angle between them.
-        sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
-        gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * (dt + lead))
-        u = clamp(wp.vec4(k.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], yaw_rate), params)
-        controls[b, i, t] = u
-        mean = lagged_control(u, acting, k.mean_shares)
-        acting = lagged_control(u, acting, k.shares)
-        q = rotate_by_rates(q, wp.vec3(mean[1], mean[2], mean[3]), dt)
+    lead = k.dt + 2.0 * params.rate_lag
+    f = force_at(required, time + 0.5 * k.dt)
+    z_body = quat_inverse_rotate(q, wp.normalize(force_at(required, wp.min(time + lead, guide.T))))
+    # The shortest rotation of the body z axis is about e_3 x z_body, by the angle between them.
+    sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
+    gain = near_atan2(sine, z_body[2]) / (wp.max(sine, 1.0e-6) * lead)
+    return clamp(wp.vec4(k.mass * wp.dot(f, thrust_axis(q)), -gain * z_body[1], gain * z_body[0], yaw_rate), params)
 
 
 CTBR = VehicleModel(

@@ -32,8 +32,8 @@ class VehicleModel:
             acceleration [m/s^2], vec3, the drag a deceleration per velocity [1/s].
         step: (p, v, q, acting, u, k) -> p, v, q, acting after one step.
         acceleration: (v, q, acting, k) -> acceleration [m/s^2], vec3, world frame.
-        follow: (b, i, guide, q, command, acting, heading, k, c, controls): write the controls that follow a guide, a
-            `Quintic`, and turn to a heading [rad], to controls[b, i, 0 .. N-1].
+        follow: (p, v, q, acting, guide, time, yaw_rate, k, c) -> the control with which to follow a guide, a `Quintic`,
+            in the step from a time of it on [s], while turning at a yaw rate [rad/s].
         parameters: section of the model's own parameters; None if it has none.
     """
 

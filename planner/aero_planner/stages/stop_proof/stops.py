@@ -28,7 +28,7 @@ from aero_planner.device.records import (
     Start,
     grid_struct,
 )
-from aero_planner.device.rotations import heading, quat_inverse_rotate
+from aero_planner.device.rotations import quat_inverse_rotate
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at
 from aero_planner.kernels.guides import FAN_ANGLE, braking_end, write_guide
 from aero_planner.kernels.partition import cell_of_direction
@@ -160,17 +160,16 @@ def roll_out_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         v = rollouts.velocities[b, m, s]
         q = rollouts.quaternions[b, m, s]
         k = constants(start.disturbance[b], start.drag[b], c.dt, c)
-        command = start.command[b]
         acting = start.control[b]
         for t in range(s):
-            command = rollouts.controls[b, m, t]
-            acting = respond(command, acting, c.dt, c)
+            acting = respond(rollouts.controls[b, m, t], acting, c.dt, c)
         end = braking_end(p, v, stop_angle(stop), T, c)
         guide = quintic(p, v, acceleration_of(v, q, acting, k), end, wp.vec3(0.0, 0.0, 0.0), T)
-        follow(b, i, guide, q, command, acting, heading(q), k, c, stops.stop_controls)
         stops.stop_positions[b, i, 0] = p
         for t in range(steps):
-            p, v, q, acting = step(p, v, q, acting, stops.stop_controls[b, i, t], k)
+            u = follow(p, v, q, acting, guide, float(t) * c.dt, 0.0, k, c)
+            p, v, q, acting = step(p, v, q, acting, u, k)
+            stops.stop_controls[b, i, t] = u
             stops.stop_positions[b, i, t + 1] = p
         # A manoeuvre that has not stopped proves nothing.
         stops.stop_clearance[b, i] = wp.where(wp.length(v) < _STOPPED, c.safe_clearance, 0.0)
@@ -295,7 +294,7 @@ def continue_stop(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that writes the row of the proven stop."""
     LANES = wp.constant(tuning.threads_per_instance)
     model = composition.model
-    constants, follow, mean_of = model.constants, model.follow, mean_control(model)
+    constants, step, follow, mean_of = model.constants, model.step, model.follow, mean_control(model)
 
     @wp.kernel(module="unique", enable_backward=False)
     def continue_stop(
@@ -341,8 +340,14 @@ def continue_stop(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             proven.stop_command[b] = mean_of(b, shift, width, c, proven.proven_stop)
         else:
             k = constants(start.disturbance[b], start.drag[b], c.dt, c)
+            p = p0
+            v = v0
             q = start.quaternion[b]
-            follow(b, row, guide, q, start.command[b], start.control[b], heading(q), k, c, nominal_controls)
+            acting = start.control[b]
+            for t in range(steps):
+                u = follow(p, v, q, acting, guide, float(t) * c.dt, 0.0, k, c)
+                nominal_controls[b, row, t] = u
+                p, v, q, acting = step(p, v, q, acting, u, k)
 
     return tuning.set_options(continue_stop)
 
