@@ -73,7 +73,8 @@ class FlightBatch:
         seed: flight b has the LiDAR pattern, noise and samples of a single flight with seed + b, or with the b-th seed
             if a sequence of B seeds is given.
         lidar: model of every LiDAR; None is the Livox Mid-360.
-        vehicle: model of every drone; None is the vehicle that the first configuration assumes.
+        vehicle: model of every drone, which follows commands as the vehicle model of the first configuration has them;
+            None is the vehicle that this configuration assumes.
         rules: when flights end, and how many ticks are flown under one plan.
         noise: errors of the state estimates; None gives the planner the true states.
         config_names: names of the configurations in the results, one per flight; None is the name of an equal preset,
@@ -119,7 +120,7 @@ class FlightBatch:
         self._pending: list[tuple[wp.Event, wp.Event]] = []
         self.interrupted = False
         rules, lidar = rules or FlightRules(), lidar or LIDARS["mid360"]
-        vehicle = vehicle or VehicleModel.from_config(configs[0])
+        vehicle = vehicle.commanded_by(configs[0]) if vehicle else VehicleModel.from_config(configs[0])
         configs = [
             config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
             for c, world in zip(configs, worlds, strict=True)
