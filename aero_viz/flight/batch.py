@@ -11,6 +11,7 @@ import warp as wp
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.seeds import Seeds, seeds_of_batch
+from aero_planner.stages.memory.parameters import memory_duration
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
@@ -72,7 +73,8 @@ class FlightBatch:
         seed: flight b has the LiDAR pattern, noise and samples of a single flight with seed + b, or with the b-th seed
             if a sequence of B seeds is given.
         lidar: model of every LiDAR; None is the Livox Mid-360.
-        vehicle: model of every drone; None is the vehicle that the first configuration assumes.
+        vehicle: model of every drone, which follows commands as the vehicle model of the first configuration has them;
+            None is the vehicle that this configuration assumes.
         rules: when flights end, and how many ticks are flown under one plan.
         noise: errors of the state estimates; None gives the planner the true states.
         config_names: names of the configurations in the results, one per flight; None is the name of an equal preset,
@@ -84,7 +86,7 @@ class FlightBatch:
 
     Attributes:
         simulator: states, outcomes and records.
-        planner: its inputs and outputs are those of the last plan; the outputs of finished flights mean nothing.
+        planner: its inputs and outputs are those of the last plan; the outputs of flights that are over mean nothing.
         interrupted: True if Ctrl-C was pressed during the last `run`, even if all its flights were over by then.
     """
 
@@ -118,7 +120,7 @@ class FlightBatch:
         self._pending: list[tuple[wp.Event, wp.Event]] = []
         self.interrupted = False
         rules, lidar = rules or FlightRules(), lidar or LIDARS["mid360"]
-        vehicle = vehicle or VehicleModel.from_config(configs[0])
+        vehicle = vehicle.commanded_by(configs[0]) if vehicle else VehicleModel.from_config(configs[0])
         configs = [
             config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
             for c, world in zip(configs, worlds, strict=True)
@@ -136,7 +138,7 @@ class FlightBatch:
         self.simulator = Simulator(
             worlds, lidar=lidar, vehicle=vehicle, rules=rules, seeds=self._seeds, device=device, noise=noise
         )
-        remembered = [remembered_sweeps(c.memory, lidar) for c in configs]
+        remembered = [remembered_sweeps(memory_duration(c), lidar) for c in configs]
         self._rows = max(remembered)
         """Number of sweeps in the planner's memory."""
         points = self._rows * self.simulator.lidar.model.points_per_sweep
@@ -254,12 +256,12 @@ class FlightBatch:
             stream = self.simulator.device.stream
             started, ended = (wp.Event(self.simulator.device, enable_timing=True) for _ in range(2))
             stream.record_event(started)
-            self.planner.launch(finished=self.simulator.outcome)
+            self.planner.launch(active=self.simulator.active)
             stream.record_event(ended)
             self._pending.append((started, ended))
         else:
             started = time.perf_counter()
-            self.planner.launch(finished=self.simulator.outcome)
+            self.planner.launch(active=self.simulator.active)
             self._plan_ms.append(1e3 * (time.perf_counter() - started))
 
     def _collect_times(self) -> None:

@@ -45,17 +45,17 @@ class StateEstimate:
             self._seeds = wp.array([seed & 0x7FFFFFFF for seed in seeds], dtype=int)
             self._errors = wp.zeros(len(seeds), dtype=Errors)
 
-    def update(self, tick: int, *, finished: wp.array) -> None:
+    def update(self, tick: int, *, active: wp.array) -> None:
         """Estimate the current states of the vehicles at the end of a tick.
 
         Args:
             tick: number of ticks flown, 0 at the start.
-            finished: int [B]; vehicles with a value other than 0 keep their estimates.
+            active: mask, int [B]; vehicles with 0 keep their estimates.
         """
         if self._noise is None:
             return
         v = self._vehicle
-        inputs = [self._noise, tick, self._seeds, finished, v.position, v.velocity, v.quaternion]
+        inputs = [self._noise, tick, self._seeds, active, v.position, v.velocity, v.quaternion]
         outputs = [self._errors, *self._arrays]
         wp.launch(estimate_kernel, len(self._seeds), inputs=inputs, outputs=outputs, device=v.position.device)
 

@@ -37,7 +37,7 @@ def estimate_kernel(
     tick: int,
     seeds: wp.array(dtype=int),  # [B]
     # in
-    finished: wp.array(dtype=int),  # [B]
+    active: wp.array(dtype=int),  # [B]
     true_positions: wp.array(dtype=wp.vec3),  # [B]
     true_velocities: wp.array(dtype=wp.vec3),  # [B]
     true_quaternions: wp.array(dtype=wp.vec4),  # [B]
@@ -55,7 +55,7 @@ def estimate_kernel(
     e_k = decay e_(k-1) + sqrt(1 - decay^2) sigma n, so that the standard deviation is sigma from the first tick on.
     """
     b = wp.tid()
-    if finished[b] != 0:
+    if active[b] == 0:
         return
     random = wp.rand_init(seeds[b] ^ ERRORS, tick)
     decay = noise.decay

@@ -139,6 +139,7 @@ def judge_kernel(
     # in/out
     records: wp.array(dtype=FlightRecord),  # [B]
     outcomes: wp.array(dtype=int),  # [B]
+    active: wp.array(dtype=int),  # [B], 1 while flying, else 0
 ):
     """Update the records of the flights that are flying after a tick, and end those that have to end."""
     b = wp.tid()
@@ -146,6 +147,7 @@ def judge_kernel(
         return
     record = update_record(rules, tick, positions[b], positions_before[b], velocities[b], clearance, b, records[b])
     outcomes[b] = flight_outcome(rules, lower[b], upper[b], positions[b], record)
+    active[b] = wp.where(outcomes[b] == FLYING, 1, 0)
     records[b] = record
 
 
@@ -185,13 +187,13 @@ def clearance_kernel(
     time: float,  # of the last integration step [s]
     step: float,  # between integration steps [s]
     # in
-    finished: wp.array(dtype=int),  # [B]
+    active: wp.array(dtype=int),  # [B]
     positions: wp.array2d(dtype=wp.vec3),  # [B, S]
     # in/out
     clearance: wp.array2d(dtype=float),  # [B, S]
 ):
     """Lower the clearance [m] at each integration step to the distance from the nearest surface."""
     b, s, thread = wp.tid()
-    if finished[b] == 0:
+    if active[b] != 0:
         then = wp.max(time - float(positions.shape[1] - 1 - s) * step, 0.0)
         wp.atomic_min(clearance, b, s, world_distance(geometry, world[b], positions[b, s], then, thread, threads))

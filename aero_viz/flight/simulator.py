@@ -62,6 +62,7 @@ class Simulator:
         estimate: estimated states, see `StateEstimate`.
         lidar: LiDAR with the sweep in progress, see `Lidar`.
         outcome: index into OUTCOMES, int [B], on the device.
+        active: mask, int [B], on the device: 1 while a flight is flying, else 0.
         record: metrics, `FlightRecord` [B], on the device.
         tick: number of ticks flown.
         rules, noise, seeds: the arguments.
@@ -113,7 +114,8 @@ class Simulator:
             self._clearance = wp.empty(self.vehicle.trail.shape, dtype=float)
             self.record = wp.array(initial_records(starts, goals), dtype=FlightRecord)
             self.outcome = wp.zeros(len(worlds), dtype=int)
-        self.estimate.update(0, finished=self.outcome)
+            self.active = wp.ones(len(worlds), dtype=int)
+        self.estimate.update(0, active=self.active)
         self._judge()
 
     @property
@@ -139,7 +141,7 @@ class Simulator:
         if setting.noise != self.noise:
             self.noise = setting.noise
             self.estimate = StateEstimate(setting.noise, self.vehicle, period=self.rules.period, seeds=self.seeds)
-            self.estimate.update(self.tick, finished=self.outcome)
+            self.estimate.update(self.tick, active=self.active)
 
     def set_worlds(self, worlds: Sequence[World]) -> None:
         """Continue in other worlds with the same bounds, one per flight. Points that were measured stay."""
@@ -161,10 +163,10 @@ class Simulator:
             sweep, first, end: points first .. end - 1 of `lidar.points` are new and belong to this sweep.
         """
         with self.timed("vehicle"):
-            self.vehicle.fly(commands, finished=self.outcome, phase=phase, tick=self.tick)
+            self.vehicle.fly(commands, active=self.active, phase=phase, tick=self.tick)
             sweep, part = divmod(self.tick, self.ticks_per_sweep)
             self.tick += 1
-            self.estimate.update(self.tick, finished=self.outcome)
+            self.estimate.update(self.tick, active=self.active)
             self._judge()
         size = self.lidar.model.points_per_sweep
         first, end = part * size // self.ticks_per_sweep, (part + 1) * size // self.ticks_per_sweep
@@ -212,6 +214,7 @@ class Simulator:
         outcome[np.isin(outcome, list(ended))] = FLYING
         self.record.assign(wp.array(records, dtype=FlightRecord, device="cpu"))
         self.outcome.assign(outcome)
+        self.active.assign((outcome == FLYING).astype(np.int32))
 
     def checkpoint(self) -> tuple[int, list[NDArray[Any]]]:
         """Return the tick and the state arrays, without the sweep in progress."""
@@ -224,7 +227,7 @@ class Simulator:
             array.assign(wp.array(value, dtype=array.dtype, device="cpu"))
 
     def _state(self) -> list[wp.array]:
-        return [*self.vehicle.state(), *self.estimate.state(), self.record, self.outcome]
+        return [*self.vehicle.state(), *self.estimate.state(), self.record, self.outcome, self.active]
 
     def _judge(self) -> None:
         v, worlds = self.vehicle, self._worlds
@@ -232,12 +235,13 @@ class Simulator:
         threads = _GPU_THREADS_PER_QUERY if self.device.is_cuda else 1
         self._clearance.fill_(math.inf)
         inputs = [worlds.geometry, worlds.index, threads, self.time, self.rules.period / steps]
-        inputs += [self.outcome, v.trail]
+        inputs += [self.active, v.trail]
         size = (count, steps, threads)
         wp.launch(clearance_kernel, size, inputs=inputs, outputs=[self._clearance], device=self.device)
         inputs = [self._rules, self.tick, self._lower, self._upper]
         inputs += [v.position, v.position_before, v.velocity, self._clearance]
-        wp.launch(judge_kernel, count, inputs=inputs, outputs=[self.record, self.outcome], device=self.device)
+        outputs = [self.record, self.outcome, self.active]
+        wp.launch(judge_kernel, count, inputs=inputs, outputs=outputs, device=self.device)
 
     def _scan(self, sweep: int, first: int, end: int) -> None:
         v, e = self.vehicle, self.estimate
@@ -247,7 +251,7 @@ class Simulator:
             end,
             poses=(v.position, v.quaternion),
             poses_before=(v.position_before, v.quaternion_before),
-            finished=self.outcome,
+            active=self.active,
             estimated_poses=(e.position, e.quaternion),
             estimated_poses_before=(e.position_before, e.quaternion_before),
         )

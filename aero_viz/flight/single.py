@@ -106,7 +106,7 @@ def fly(
         source = FlightSource(
             world,
             lidar=lidar,
-            vehicle=vehicle or VehicleModel.from_config(config),
+            vehicle=vehicle.commanded_by(config) if vehicle else VehicleModel.from_config(config),
             rules=rules,
             noise=noise,
             control_step=config.sampling.dt,

@@ -111,7 +111,7 @@ class FlightSource:
         self._owner = object()
         self._cache = SweepCache(self._measure)
         with wp.ScopedDevice(self.simulator.device):
-            self._never_finished = wp.zeros(1, dtype=int)
+            self._active = wp.ones(1, dtype=int)
             self._poses = [(wp.zeros(1, dtype=wp.vec3), wp.zeros(1, dtype=wp.vec4)) for _ in range(4)]
         # The sweep in progress: its scans and their points.
         self._scans: tuple[Scan, ...] = ()
@@ -336,7 +336,7 @@ class FlightSource:
             scan.end,
             poses=after,
             poses_before=before,
-            finished=self._never_finished,
+            active=self._active,
             estimated_poses=estimated_after,
             estimated_poses_before=estimated_before,
         )

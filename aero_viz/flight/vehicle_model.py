@@ -1,10 +1,13 @@
-"""Parameters of the simulated quadrotor."""
+"""Parameters of the simulated vehicle."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from aero_planner import registry
 from aero_planner.config import PlannerConfig, VehicleConfig
 from aero_planner.parameters import ParameterSection, live
 
@@ -22,7 +25,8 @@ def _planned(name: str) -> Any:
 class VehicleModel(ParameterSection, section="drone"):
     """Parameters of the simulated vehicle.
 
-    The defaults are the planner's own model, without lags, latency, drag and gusts.
+    The defaults are the planner's own model, without lags, latency, drag and gusts. What its commands are follows from
+    the vehicle model of the planner, see `commanded_by`.
 
     Raises:
         ValueError: a parameter is outside its bounds or contradicts another one.
@@ -36,6 +40,10 @@ class VehicleModel(ParameterSection, section="drone"):
     rate_z_max: float = _planned("rate_z_max")
     thrust_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the thrust's first-order response; 0 for none.")
     rate_lag: float = live(0.0, "s", 0.0, 10.0, "Time constant of the body rates' first-order response; 0 for none.")
+    attitude_gain: float = live(
+        12.0, "1/s", 0.1, 100.0, "Gain from the error of the tilt to body rates, in the autopilot of a drone that is "
+        "commanded by its acceleration, see vehicle.model.",
+    )  # fmt: skip
     drag: float = live(0.0, "1/s", 0.0, 100.0, "Linear drag in dv = .. - k (v - w), with w the wind.", symbol="k")
     latency: float = live(
         0.0, "s", 0.0, 10.0, "Time from a command to its effect, rounded to whole integration steps.", label="Latency"
@@ -48,6 +56,10 @@ class VehicleModel(ParameterSection, section="drone"):
         "longitudinal form of the Dryden spectrum with gust_time = L / V.",
     )  # fmt: skip
     step: float = live(0.005, "s", 1e-4, 0.1, "Longest integration step.")
+    model: str = "ctbr"
+    """Vehicle model of the planner that commands it, see `plants.plant_of`."""
+    own: Mapping[str, float] = field(default_factory=dict, hash=False)
+    """Values of the parameters that this vehicle model brings, by name; defaults where they are absent."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -60,4 +72,10 @@ class VehicleModel(ParameterSection, section="drone"):
     @classmethod
     def from_config(cls, config: PlannerConfig, **changes: float) -> VehicleModel:
         """Return the vehicle that the planner of `config` assumes, with `changes` of its parameters."""
-        return cls(**{name: getattr(config.vehicle, name) for name in PLANNED} | changes)
+        return cls(**{name: getattr(config.vehicle, name) for name in PLANNED} | changes).commanded_by(config)
+
+    def commanded_by(self, config: PlannerConfig) -> VehicleModel:
+        """Return this vehicle with commands as the vehicle model of `config` has them."""
+        section = registry.load("models", config.vehicle.model).parameters
+        own = {} if section is None else dataclasses.asdict(getattr(config, section.section))
+        return dataclasses.replace(self, model=config.vehicle.model, own=own)

@@ -113,7 +113,7 @@ class SimulatedAutopilot:
         self._model = model
         self._compensation = ThrustModel(mass=1.0, gravity=1.0, hover_thrust=1.0, curve=compensation)
         self._motors = ThrustModel(model.mass, model.gravity, self._compensation.signal(hover_thrust), curve)
-        self._finished = wp.zeros(1, dtype=int, device="cpu")
+        self._active = wp.ones(1, dtype=int, device="cpu")
         self._command = wp.zeros((1, 1), dtype=wp.vec4, device="cpu")
         views = (self.vehicle.position, self.vehicle.velocity, self.vehicle.quaternion, self._command)
         # Arrays on the CPU, which share memory with the vehicle's.
@@ -227,7 +227,7 @@ class SimulatedAutopilot:
                 self._u[:] = self._hold.control(self.position, self.velocity, self.quaternion)
             else:
                 self._u[:] = self._offboard.control(self.quaternion, now)
-            self.vehicle.fly(self._command, finished=self._finished, tick=tick)
+            self.vehicle.fly(self._command, active=self._active, tick=tick)
         self._send_due_messages()
 
     def close(self) -> None:

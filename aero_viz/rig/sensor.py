@@ -67,7 +67,7 @@ class SimulatedMid360:
         self.sent = 0
         self._model, self._data_type = model, data_type
         self._lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[seed])
-        self._finished = wp.zeros(1, dtype=int, device="cpu")
+        self._active = wp.ones(1, dtype=int, device="cpu")
         # With an identity pose as the estimated one, the LiDAR returns points in the body frame.
         identity = wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4, device="cpu")
         self._identity_pose = wp.zeros(1, dtype=wp.vec3, device="cpu"), identity
@@ -97,7 +97,7 @@ class SimulatedMid360:
             end,
             poses=(vehicle.position, vehicle.quaternion),
             poses_before=(vehicle.position_before, vehicle.quaternion_before),
-            finished=self._finished,
+            active=self._active,
             estimated_poses=self._identity_pose,
             estimated_poses_before=self._identity_pose,
         )

@@ -100,7 +100,7 @@ class Lidar:
         *,
         poses: tuple[wp.array, wp.array],
         poses_before: tuple[wp.array, wp.array],
-        finished: wp.array,
+        active: wp.array,
         estimated_poses: tuple[wp.array, wp.array] | None = None,
         estimated_poses_before: tuple[wp.array, wp.array] | None = None,
     ) -> None:
@@ -113,7 +113,7 @@ class Lidar:
             poses: true positions [m], vec3 [B], and quaternions w, x, y, z, vec4 [B], at the end of the scan, world
                 frame.
             poses_before: true poses at the beginning; the sensor moves evenly in between.
-            finished: int [B]; sensors with a value other than 0 measure nothing, and their points stay.
+            active: mask, int [B]; sensors with 0 measure nothing, and their points stay.
             estimated_poses, estimated_poses_before: poses that place the points in the world; None for the true ones.
         """
         worlds = self._worlds
@@ -123,7 +123,7 @@ class Lidar:
         positions, quaternions = zip(poses_before, poses, strict=True)
         estimates = zip(estimated_poses_before or poses_before, estimated_poses or poses, strict=True)
         estimated_positions, estimated_quaternions = estimates
-        inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, sweep, first, end - first, finished]
+        inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, sweep, first, end - first, active]
         inputs.append(self._lost)
         inputs += [*positions, *quaternions, *estimated_positions, *estimated_quaternions]
         size = (len(self._seeds), end - first)

@@ -111,7 +111,7 @@ def scan(with_triangles: bool) -> wp.Kernel:
         first: int,
         count: int,
         # in
-        finished: wp.array(dtype=int),  # [B]
+        active: wp.array(dtype=int),  # [B]
         lost: wp.array(dtype=int),  # [B]
         position_before: wp.array(dtype=wp.vec3),  # [B]
         position: wp.array(dtype=wp.vec3),  # [B]
@@ -126,7 +126,7 @@ def scan(with_triangles: bool) -> wp.Kernel:
     ):
         """Measure `count` points of a sweep from the true poses, and place them by the estimated poses."""
         b, i = wp.tid()
-        if finished[b] != 0:
+        if active[b] == 0:
             return
         index = sweep * beams.points_per_sweep + first + i
         share = (float(i) + 0.5) / float(count)

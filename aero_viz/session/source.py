@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
+from aero_planner.stages.memory.parameters import memory_duration
 from aero_viz.reader_process import Reader, read_here
 
 if TYPE_CHECKING:
@@ -47,10 +48,10 @@ class Observation:
     where all that are known are in `sweeps`."""
 
     def remembered(self, config: PlannerConfig) -> Observation:
-        """Return this observation with the sweeps that the configuration remembers, see `PlannerConfig.memory`."""
+        """Return this observation with the sweeps that the configuration remembers, see `memory_duration`."""
         if self.recall is None:
             return self
-        sweeps, times = self.recall(config.memory)
+        sweeps, times = self.recall(memory_duration(config))
         return dataclasses.replace(self, sweeps=sweeps, sweep_times=times, recall=None)
 
     @property

@@ -24,7 +24,7 @@ def dead_end() -> World:
 
 def test_only_remembered_places_lead_out_of_a_dead_end(device: str):
     config = PlannerConfig.preset("fast-cpu")
-    configs = [config, config.replace({"escape.q_escape": 0.0})]
+    configs = [config, config.replace({"way_out.q_escape": 0.0})]
     batch = FlightBatch(
         [dead_end()] * 2, config=configs, device=device, seed=[0, 0], rules=FlightRules(time_limit=12.0)
     )

@@ -34,7 +34,7 @@ def test_a_delay_that_was_chosen_stays():
 
 def test_the_field_of_view_turns_with_the_sensor():
     upside_down = dataclasses.replace(MID360, mount_angles=(180.0, 0.0, 0.0))
-    part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).partition
+    part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).unseen_space
     assert (part.view_min, part.view_max) == (-MID360.elevation_max, -MID360.elevation_min)
 
 
@@ -55,7 +55,7 @@ def test_a_configuration_without_the_facts_of_its_flight_is_the_preset(preset: s
     flight = FlightSource(scene("wall", seed=0), lidar=MID360, vehicle=VehicleModel(latency=0.02)).info
     config = PlannerConfig.preset(preset)
     known = config_for_flight(config, flight)
-    assert known.partition.view_min == MID360.elevation_min and known != config
+    assert known.unseen_space.view_min == MID360.elevation_min and known != config
     assert config_without_facts(known, flight) == config
     chosen = known.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
     assert config_without_facts(chosen, flight) == config.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
@@ -77,7 +77,7 @@ def test_the_top_of_the_world_follows_whether_the_ground_is_used():
 def test_the_delay_follows_the_lag_that_the_planner_models():
     vehicle = VehicleModel(latency=0.02, rate_lag=0.07)
     flight = FlightSource(scene("wall", seed=0), vehicle=vehicle).info
-    config, changes = config_for_flight(PlannerConfig(), flight), {"vehicle.rate_xy_lag": 0.07}
+    config, changes = config_for_flight(PlannerConfig(), flight), {"vehicle.rate_lag": 0.07}
     assert facts_after(changes, config=config, flight=flight) == {"vehicle.delay": pytest.approx(0.02)}
 
 

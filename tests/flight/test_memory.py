@@ -36,7 +36,7 @@ def test_the_memory_follows_the_configuration_from_tick_to_tick(world: World):
     try:
         while (frame := session.tick()).time < 2.0:
             pass
-        session.configure(SLOW.replace({"partition.memory_distance": 0.0, "partition.memory_time": 1.0}))
+        session.configure(SLOW.replace({"memory.memory_distance": 0.0, "memory.memory_time": 1.0}))
         slow, short = frame.observation, session.tick().observation
     finally:
         session.close()

@@ -16,10 +16,10 @@ def run(model: VehicleModel, commands, *, heading=0.0, velocity=(0.0, 0.0, 0.0),
     """Fly one command per tick; return p, v, q and the acceleration after each tick, float64."""
     vehicle = Vehicle(model, np.zeros((1, 3)), [heading], period=period, device="cpu")
     vehicle.velocity.assign(np.array([velocity], dtype=np.float32))
-    flying = wp.zeros(1, dtype=int)
+    flying = wp.ones(1, dtype=int)
     states = []
     for command in commands:
-        vehicle.fly(wp.array([[command]], dtype=wp.vec4), finished=flying)
+        vehicle.fly(wp.array([[command]], dtype=wp.vec4), active=flying)
         arrays = (vehicle.position, vehicle.velocity, vehicle.quaternion, vehicle.acceleration)
         states.append([array.numpy()[0].astype(float) for array in arrays])
     return [np.array(column) for column in zip(*states, strict=True)]
@@ -104,7 +104,7 @@ def test_lags_are_first_order():
     model = VehicleModel(thrust_lag=0.1, rate_lag=0.05)
     vehicle = Vehicle(model, np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
     for k in range(1, 11):
-        vehicle.fly(wp.array([[(14.0, 1.0, -1.0, 0.5)]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int))
+        vehicle.fly(wp.array([[(14.0, 1.0, -1.0, 0.5)]], dtype=wp.vec4), active=wp.ones(1, dtype=int))
         control = vehicle.control.numpy()[0]
         assert control[0] == pytest.approx(G + (14.0 - G) * (1 - np.exp(-0.02 * k / 0.1)), rel=1e-5)
         np.testing.assert_allclose(control[1:], np.array([1.0, -1.0, 0.5]) * (1 - np.exp(-0.02 * k / 0.05)), rtol=1e-5)
@@ -117,7 +117,7 @@ def test_latency_delays_commands_by_whole_steps(latency, late_steps):
     vehicle = Vehicle(late, np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
     heights = []
     for thrust in (14.0, 12.0, 12.0, 12.0):
-        vehicle.fly(wp.array([[(thrust, 0.0, 0.0, 0.0)]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int))
+        vehicle.fly(wp.array([[(thrust, 0.0, 0.0, 0.0)]], dtype=wp.vec4), active=wp.ones(1, dtype=int))
         heights += vehicle.trail.numpy()[0, :, 2].tolist()
     thrusts = [G] * late_steps + [14.0] * 4 + [12.0] * 12
     expected = run(prompt, [(t, 0.0, 0.0, 0.0) for t in thrusts[:16]], period=0.005)[0][:, 2]
@@ -130,7 +130,7 @@ def test_latency_delays_commands_by_whole_steps(latency, late_steps):
 def test_controls_are_interpolated_between_those_of_the_plan(phase, thrust):
     vehicle = Vehicle(VehicleModel(), np.zeros((1, 3)), [0.0], period=0.02, device="cpu")
     plan = wp.array([[(f, 0.1 * f, 0.0, 0.0) for f in (8.0, 12.0, 10.0)]], dtype=wp.vec4)
-    vehicle.fly(plan, finished=wp.zeros(1, dtype=int), phase=phase)
+    vehicle.fly(plan, active=wp.ones(1, dtype=int), phase=phase)
     np.testing.assert_allclose(vehicle.control.numpy()[0], [thrust, 0.1 * thrust, 0.0, 0.0], rtol=1e-6)
 
 
@@ -140,7 +140,7 @@ def gusts(model, seeds, ticks):
     vehicle = Vehicle(model, np.zeros((count, 3)), [0.0] * count, period=0.02, device="cpu", seeds=seeds)
     commands, winds = wp.array([[HOVER]] * count, dtype=wp.vec4), []
     for tick in range(ticks):
-        vehicle.fly(commands, finished=wp.zeros(count, dtype=int), tick=tick)
+        vehicle.fly(commands, active=wp.ones(count, dtype=int), tick=tick)
         winds.append(vehicle.wind.numpy().copy())
     return np.array(winds, dtype=float), vehicle.velocity.numpy()
 
@@ -199,10 +199,10 @@ def test_step_divides_any_period():
     assert p[-1, 2] == pytest.approx(-0.5 * G * 0.1**2, rel=1e-5)
 
 
-def test_finished_vehicles_stand_still():
+def test_inactive_vehicles_stand_still():
     vehicle = Vehicle(VehicleModel(), np.zeros((2, 3)), [0.0, 0.0], period=0.02, device="cpu")
     commands = wp.array([[(15.0, 1.0, 0.0, 0.0)]] * 2, dtype=wp.vec4)
-    vehicle.fly(commands, finished=wp.array([0, 2], dtype=int))
+    vehicle.fly(commands, active=wp.array([1, 0], dtype=int))
     assert vehicle.position.numpy()[0, 2] > 0.0
     np.testing.assert_array_equal(vehicle.position.numpy()[1], 0.0)
     np.testing.assert_array_equal(vehicle.quaternion.numpy()[1], [1.0, 0.0, 0.0, 0.0])

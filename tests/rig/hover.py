@@ -22,10 +22,10 @@ def scan(
     """
     model = LIDARS["mid360"]
     lidar = Lidar(model, DeviceWorlds([world], device="cpu"), seeds=[0])
-    pose, finished, sweeps = _pose(place, 0.0, 0.0), wp.zeros(1, dtype=int, device="cpu"), []
+    pose, active, sweeps = _pose(place, 0.0, 0.0), wp.ones(1, dtype=int, device="cpu"), []
     for k, (x, y, roll, pitch) in enumerate(errors, first):
         estimated = _pose(place + np.array([x, y, 0.0]), roll, pitch)
-        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, finished=finished,
+        lidar.scan(k, 0, model.points_per_sweep, poses=pose, poses_before=pose, active=active,
                    estimated_poses=estimated, estimated_poses_before=estimated)  # fmt: skip
         points = lidar.points.numpy()[0]
         sweeps.append(points[np.isfinite(points).all(axis=1)].copy())

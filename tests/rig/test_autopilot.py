@@ -136,7 +136,7 @@ def test_the_vehicle_behaves_as_in_a_simulated_flight(make_companion):
     for thrust, rate in zip(thrusts, rates, strict=True):
         control = (float(np.float32(thrust)) / 0.5 * 9.81, rate[0], -rate[1], -rate[2])
         for _ in range(50):
-            twin.fly(wp.array([[control]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int))
+            twin.fly(wp.array([[control]], dtype=wp.vec4), active=wp.ones(1, dtype=int))
     np.testing.assert_allclose(c.autopilot.position, twin.position.numpy()[0], atol=1e-4)
     np.testing.assert_allclose(c.autopilot.velocity, twin.velocity.numpy()[0], atol=1e-4)
 

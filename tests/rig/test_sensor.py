@@ -50,7 +50,7 @@ def run(world, host, *, steps=50, data_type=CARTESIAN_MM, command=(9.81, 0.0, 0.
     sensor = SimulatedMid360(world, model, host.getsockname(), period=PERIOD, data_type=data_type)
     packets, poses = [], [(vehicle.position.numpy()[0].copy(), vehicle.quaternion.numpy()[0].copy())]
     for tick in range(steps):
-        vehicle.fly(wp.array([[command]], dtype=wp.vec4), finished=wp.zeros(1, dtype=int), tick=tick)
+        vehicle.fly(wp.array([[command]], dtype=wp.vec4), active=wp.ones(1, dtype=int), tick=tick)
         sensor.step(tick, vehicle, PERIOD * (tick + 1))
         packets += received(host)
         poses.append((vehicle.position.numpy()[0].copy(), vehicle.quaternion.numpy()[0].copy()))

@@ -52,7 +52,7 @@ def test_agrees_with_the_points_of_the_sensor():
     )
     lidar = Lidar(model, DeviceWorlds([shell]), seeds=[9])
     poses = wp.zeros(1, dtype=wp.vec3), wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4)
-    lidar.scan(0, 0, 3000, poses=poses, poses_before=poses, finished=wp.zeros(1, dtype=int))
+    lidar.scan(0, 0, 3000, poses=poses, poses_before=poses, active=wp.ones(1, dtype=int))
     points = lidar.points.numpy()[0].astype(float)
     row = np.floor((np.degrees(np.arcsin(points[:, 2] / np.linalg.norm(points, axis=1))) + 90.0) / 3.0)
     column = np.floor((np.degrees(np.arctan2(points[:, 1], points[:, 0])) + 180.0) / 3.0)

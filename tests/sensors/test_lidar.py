@@ -30,8 +30,8 @@ def sweep(model, world, *, number=0, seeds=(0,), position=(0, 0, 0), before=None
     count = len(seeds)
     poses = wp.array([position] * count, dtype=wp.vec3), wp.array([quaternion] * count, dtype=wp.vec4)
     earlier = wp.array([before or position] * count, dtype=wp.vec3), poses[1]
-    finished = wp.zeros(count, dtype=int)
-    lidar.scan(number, 0, model.points_per_sweep, poses=poses, poses_before=earlier, finished=finished)
+    active = wp.ones(count, dtype=int)
+    lidar.scan(number, 0, model.points_per_sweep, poses=poses, poses_before=earlier, active=active)
     return lidar.points.numpy()
 
 
@@ -197,7 +197,7 @@ def test_points_are_placed_by_the_estimated_pose(shell):
     lidar = Lidar(model, worlds, seeds=[0])
     true = wp.array([(0.0, 0.0, 0.0)], dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
     estimated = wp.array([(0.0, 1.0, 0.0)], dtype=wp.vec3), wp.array([(half, 0.0, 0.0, half)], dtype=wp.vec4)
-    options = {"poses": true, "poses_before": true, "finished": wp.zeros(1, dtype=int)}
+    options = {"poses": true, "poses_before": true, "active": wp.ones(1, dtype=int)}
     lidar.scan(0, 0, 20_000, estimated_poses=estimated, estimated_poses_before=estimated, **options)
     points = sweep(model, shell)[0]
     expected = np.column_stack([-points[:, 1], points[:, 0] + 1.0, points[:, 2]])
@@ -212,10 +212,10 @@ def test_points_depend_on_the_seed_and_not_on_the_batch(shell):
     assert not np.array_equal(together[0], together[1], equal_nan=True)
 
 
-def test_finished_sensors_measure_nothing(shell):
+def test_inactive_sensors_measure_nothing(shell):
     lidar = Lidar(MID360, DeviceWorlds([shell]), seeds=[0])
     poses = wp.zeros(1, dtype=wp.vec3), wp.array([LEVEL], dtype=wp.vec4)
-    lidar.scan(0, 0, 100, poses=poses, poses_before=poses, finished=wp.ones(1, dtype=int))
+    lidar.scan(0, 0, 100, poses=poses, poses_before=poses, active=wp.zeros(1, dtype=int))
     assert np.isnan(lidar.points.numpy()).all()
 
 
@@ -255,10 +255,10 @@ def test_points_lie_on_obstacles_where_they_are_at_the_time_of_the_ray():
     model = LidarModel("exact", points_per_sweep=2000, range_noise=0.0, dropout=0.0)
     lidar = Lidar(model, DeviceWorlds([world]), seeds=[3])
     pose = wp.zeros(1, dtype=wp.vec3), wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4)
-    finished = wp.zeros(1, dtype=int)
+    active = wp.ones(1, dtype=int)
     for sweep in (-3, 0, 11):
-        lidar.scan(sweep, 0, 1000, poses=pose, poses_before=pose, finished=finished)
-        lidar.scan(sweep, 1000, 2000, poses=pose, poses_before=pose, finished=finished)
+        lidar.scan(sweep, 0, 1000, poses=pose, poses_before=pose, active=active)
+        lidar.scan(sweep, 1000, 2000, poses=pose, poses_before=pose, active=active)
         points = lidar.points.numpy()[0]
         times = sweep * 0.1 + model.point_times()
         hits = np.flatnonzero(~np.isnan(points[:, 0]))
