@@ -148,7 +148,7 @@ class Planner:
             self._replace_pipeline()
 
     def _forget_sweeps(self) -> None:
-        """Forget what is known from the sweeps so far, such as what moves among their obstacles."""
+        """Forget what is known from the sweeps so far, such as the tracks of dynamic obstacles."""
         for group in stage_groups(self._stages):
             forget(group, "sweeps")
         if self._memory is not None:
@@ -271,7 +271,7 @@ class Planner:
                 is kept.
             points: vec3 [B, n] [m], world frame; NaN for rays without return.
             time: when the sweep was complete [s], at the position of `inputs`; None is the time of `inputs`. Sweeps
-                that are stored in turn show what moves.
+                that are stored in turn show dynamic obstacles.
 
         Raises:
             ValueError: there is no room for the sweep, see `reserve_sweeps`.

@@ -62,7 +62,7 @@ class _Change(NamedTuple):
 class SweepMemory:
     """Sweeps on the device. Each is copied once, when it arrives.
 
-    Then the launches of the pipeline at the arrival of a sweep find what moves, thin a sweep that has grown old, and
+    Then the launches of the pipeline at the arrival of a sweep track dynamic obstacles, thin a sweep that has grown old, and
     order points by distance.
 
     Args:

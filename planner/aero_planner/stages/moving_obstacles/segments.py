@@ -159,7 +159,7 @@ def find_segments(
     # out
     circles: Circles,  # the counts are 0 before
 ):
-    """Find the circle of the segment that begins at each bin, unless something hides either end.
+    """Find the circle of the segment that begins at each bin, unless something occludes either end.
 
     Launched over [B, RECENT, BINS]; a thread walks along its segment.
     """
@@ -184,7 +184,7 @@ def find_segments(
         if r > 0.0:
             if wp.abs(r - last_range) > _JUMP:
                 if r < last_range:
-                    return  # hidden
+                    return  # occluded
                 break
             last = k
             last_range = r

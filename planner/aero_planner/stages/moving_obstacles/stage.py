@@ -68,7 +68,7 @@ class Outputs:
 
 
 def _track(r: Recorder) -> list[list[Launches]]:
-    """Find what moves from the sweep that arrives and those before it."""
+    """Track dynamic obstacles from the sweep that arrives and those before it."""
     a, B = r.stage_arrays("moving_obstacles"), r.sizes.B
     circles = bundle(segments.Circles, center=a.circle_center, radius=a.circle_radius, count=a.scan[:, :, _BINS:])
     listed = bundle(segments.Segments, count=a.segment_count, center=a.segment_center, radius=a.segment_radius)

@@ -43,7 +43,7 @@ _RESIDUAL = wp.constant(0.07)
 _LEAST_DEVIATION = wp.constant(0.025)
 """Standard deviation of the position of a circle, at least [m]."""
 _SIGNIFICANCE = wp.constant(8.0)
-"""Ratio of the speed to its standard deviation, at least: hidden edges make static obstacles creep."""
+"""Ratio of the speed to its standard deviation, at least: occluded edges make static obstacles creep."""
 
 _GROWTH = wp.constant(0.1)
 """Rate at which the radius of a predicted obstacle grows, since it changes its velocity [m/s]."""
@@ -161,7 +161,7 @@ def follow_segments(
     """Follow each segment of the newest sweeps back through older ones, and fit a uniform motion.
 
     A segment moves if its speed exceeds `_SIGNIFICANCE` times its standard deviation and `has_moved` agrees. Segments
-    of the `STARTS` newest sweeps are followed, since an obstacle may be hidden for a while.
+    of the `STARTS` newest sweeps are followed, since an obstacle may be occluded for a while.
     Launched over [B, STARTS, TRACKS].
     """
     b, begin, i = wp.tid()
