@@ -62,8 +62,8 @@ class _Change(NamedTuple):
 class SweepMemory:
     """Sweeps on the device. Each is copied once, when it arrives.
 
-    Then the launches of the pipeline at the arrival of a sweep track dynamic obstacles, thin a sweep that has grown old, and
-    order points by distance.
+    Then the launches of the pipeline at the arrival of a sweep track dynamic obstacles, thin a sweep that has grown
+    old, and order points by distance.
 
     Args:
         device: device of the sweeps.

@@ -42,7 +42,7 @@ class Sweeps:
             are copied.
         whole: number of newest sweeps of which all points are kept; of older ones one in `THINNING` is, which
             remembers surfaces for longer at little cost. None keeps all points of all sweeps.
-        arrivals: when and where each sweep was complete, from which the planner estimates the motion of obstacles. None takes a
+        arrivals: when and where each sweep was complete, from which the planner tracks obstacles. None takes a
             sweep for complete when it is first planned from.
 
     Raises:
