@@ -34,6 +34,14 @@ class ArraySpec:
     initial: float = 0.0
     """Value of all entries where nothing is known yet."""
 
+    @property
+    def item(self) -> np.dtype:
+        """NumPy's type of an entry: a number, a vector or matrix, whose `base` is that of its numbers, or a struct."""
+        if hasattr(self.dtype, "numpy_dtype"):
+            return np.dtype(self.dtype.numpy_dtype())
+        scalar = wp.dtype_to_numpy(getattr(self.dtype, "_wp_scalar_type_", self.dtype))
+        return np.dtype((scalar, getattr(self.dtype, "_shape_", ())))
+
     def evaluate_shape(self, sizes: Any) -> tuple[int, ...]:
         """Return the shape for the sizes, an object with one attribute per symbol."""
 
@@ -70,7 +78,7 @@ class PackedArrays(Generic[Arrays]):
         size = 0
         for spec in specs.values():
             size = -(-size // _ALIGNMENT) * _ALIGNMENT
-            item = _numpy_dtype(spec.dtype)
+            item = spec.item
             shape = spec.evaluate_shape(sizes)
             offsets.append(size)
             formats.append((item, shape))
@@ -141,14 +149,6 @@ class PackedArrays(Generic[Arrays]):
         values: Any = buffer.numpy()
         weakref.finalize(values, self._free_buffers.append, buffer).atexit = False
         return buffer, values
-
-
-def _numpy_dtype(dtype: Any) -> np.dtype:
-    """Return the NumPy type of an array entry: a scalar, a vector or matrix of them, or a struct."""
-    if hasattr(dtype, "numpy_dtype"):
-        return np.dtype(dtype.numpy_dtype())
-    scalar = wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype))
-    return np.dtype((scalar, getattr(dtype, "_shape_", ())))
 
 
 def array_specs(kind: type) -> dict[str, ArraySpec]:

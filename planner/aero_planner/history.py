@@ -48,3 +48,13 @@ def kept_arrays(groups: Iterable[Any]) -> dict[str, wp.array]:
         for name, spec in array_specs(type(group)).items()
         if spec.kept == "plans"
     }
+
+
+def format_initial_state(kinds: Iterable[type]) -> str:
+    """Return a line of name, type and initial value for each array that is kept for later plans.
+
+    Args:
+        kinds: dataclasses that declare arrays.
+    """
+    kept = ((name, spec) for kind in kinds for name, spec in array_specs(kind).items() if spec.kept == "plans")
+    return "".join(f"{name} {spec.item.base} {spec.initial!r}\n" for name, spec in kept)

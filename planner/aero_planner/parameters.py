@@ -81,6 +81,11 @@ class ParameterInfo:
         return " ".join(part for part in (self.label, self.symbol, unit) if part)
 
     @property
+    def accepts_nothing(self) -> bool:
+        """True for a text that may be empty."""
+        return bool(self.pattern) and re.fullmatch(self.pattern, "") is not None
+
+    @property
     def range(self) -> str:
         """Allowed values in words: the choices, the bounds with their unit, or the form of a text."""
         if self.form or self.choices:
@@ -196,6 +201,8 @@ class SectionedConfig:
     """Command that lists all parameters."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """New path of each parameter by its old path, which remains valid for one release."""
+    changed: ClassVar[Mapping[str, str]] = {}
+    """What is different about a renamed parameter, by its old path: the end of "is now .., which .."."""
     removed: ClassVar[Mapping[str, str]] = {}
     """Reason by the path of a removed parameter, whose value is ignored for one release."""
 
@@ -228,9 +235,9 @@ class SectionedConfig:
 
     @classmethod
     def check_section(cls, name: Any) -> None:
-        """Raise ValueError, with the nearest known name, if there is no section `name`."""
+        """Raise ValueError, with the nearest known name, if no section `name` exists or has existed."""
         known = cls.sections()
-        if name not in known:
+        if name not in known and all(not path.startswith(f"{name}.") for path in (*cls.renamed, *cls.removed)):
             raise ValueError(f"unknown section {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}.")
 
     @classmethod
@@ -263,10 +270,11 @@ class SectionedConfig:
             source: beginning of the notice, such as "tuned.yaml, line 3: ".
         """
         if path in cls.renamed:
-            _warn("%s%s is now %s; the old name works until the next release.", source, path, cls.renamed[path])
+            new = ", which ".join((cls.renamed[path], *([cls.changed[path]] if path in cls.changed else [])))
+            log_warning("%s%s is now %s; the old name works until the next release.", source, path, new)
             return cls.renamed[path]
         if path in cls.removed:
-            _warn("%s%s is ignored: %s.", source, path, cls.removed[path])
+            log_warning("%s%s is ignored: %s.", source, path, cls.removed[path])
             return None
         return path
 
@@ -330,7 +338,8 @@ def with_sections(sections: Mapping[str, type[ParameterSection]]) -> Callable[[t
     return decorate
 
 
-def _warn(message: str, *values: str) -> None:
+def log_warning(message: str, *values: str) -> None:
+    """Log a warning, which reaches stderr unless logging is configured otherwise."""
     import logging  # imported here because it would add a quarter to the import time of this package
 
     logging.getLogger(__name__).warning(message, *values)

@@ -8,7 +8,6 @@ from command_line import run, terminal_text
 from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
 from aero_viz.cli.page import flight_opener
-from aero_viz.cli.renamed_flags import replace_renamed_flags
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.sensors import LIDARS
 
@@ -53,18 +52,6 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("costs:\n  q_track: 7\n")
     assert flags(str(file)).load().costs.use_ground
-
-
-def test_flags_of_renamed_parameters_keep_their_old_spelling(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-):
-    monkeypatch.setattr(PlannerConfig, "renamed", {"costs.old_name": "costs.q_track"})
-    monkeypatch.setattr(PlannerConfig, "removed", {"costs.gone": "it had no effect"})
-    arguments = ["forest", "--costs.old-name", "3", "--costs.gone", "5", "--costs.gone=5", "--speed", "4"]
-    assert replace_renamed_flags(arguments) == ["forest", "--costs.q-track", "3", "--speed", "4"]
-    assert replace_renamed_flags(["--costs.old_name=3"]) == ["--costs.q-track=3"]
-    assert "costs.old_name is now costs.q_track" in caplog.text
-    assert "costs.gone is ignored: it had no effect" in caplog.text
 
 
 def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 from hypothesis import strategies as st
 
-from aero_planner.config import ParameterInfo, SectionedConfig
+from aero_planner.config import ParameterInfo, SectionedConfig, Value
 
 Config = TypeVar("Config", bound=SectionedConfig)
 
@@ -22,6 +22,14 @@ def values_of(info: ParameterInfo) -> st.SearchStrategy:
         return st.integers(int(info.low), int(info.high))
     # Includes subnormal and tiny values if a bound is zero; they are written with an exponent.
     return st.floats(info.low, info.high)
+
+
+def other_value(info: ParameterInfo) -> Value:
+    """Return a value of a number or a switch that is not the default, but near enough to contradict no other one."""
+    if isinstance(info.default, bool):
+        return not info.default
+    assert isinstance(info.default, float)
+    return info.default + 0.1 * (info.high - info.default or info.low - info.default)
 
 
 @st.composite

@@ -18,7 +18,7 @@ def format_parameters() -> str:
 
 def _cells(info: ParameterInfo) -> list[str]:
     paper = PlannerConfig.preset("paper").get(info.path)
-    is_number = not info.choices and not isinstance(info.default, bool)
+    is_number = not info.choices and not info.pattern and not isinstance(info.default, bool)
     return [
         f"`{info.path}`",
         info.label,
@@ -35,7 +35,7 @@ def _cells(info: ParameterInfo) -> list[str]:
 def _text(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:g}" if isinstance(value, float) else str(value) or "(empty)"
 
 
 def _row(cells: list[str]) -> str:

@@ -36,7 +36,6 @@ ONBOARD = "onboard"
 GOAL = "goal"
 """Key of the goal."""
 
-_YAML_WORDS = {"on", "off", "yes", "no", "true", "false", "null"}
 _MAX_BYTES = 2**20
 
 
@@ -113,7 +112,7 @@ class ConfigFile:
                     info = config.find(path)
                     if path in changes:
                         raise ValueError(f"{path} is given twice, under its old and its new name; remove one.")
-                    changes[path] = info.check(_value_of(entry, path))
+                    changes[path] = info.check(_value_of(entry, path, info))
         try:
             return config.replace(changes)
         except ContradictionError as error:
@@ -253,8 +252,7 @@ def _format_value(info: ParameterInfo, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # A text may look like a number, and YAML 1.1 reads some words as booleans.
-        return f"'{value}'" if info.pattern or value in _YAML_WORDS else value
+        return f"'{value}'" if info.pattern else value  # a text may look like a number or a boolean
     return _number(value)
 
 
@@ -268,9 +266,11 @@ def _is_coordinate(value: Value | None) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _value_of(entry: Entry, path: str) -> Value:
+def _value_of(entry: Entry, path: str, info: ParameterInfo | None = None) -> Value:
     if entry.entries:
         raise ValueError(f"{path} has entries below it; write one value after the colon.")
     if entry.value is None:
+        if info is not None and info.accepts_nothing:
+            return ""
         raise ValueError(f"{path} has no value; write one after the colon or remove the line.")
     return entry.value

@@ -22,6 +22,13 @@ RENAMED: dict[str, str] = {
 }
 """New path of each renamed parameter by its old path."""
 
+CHANGED: dict[str, str] = {
+    "partition.continue_below": "holds for both edges of the view",
+    "vehicle.rate_xy_lag": "holds for all body rates",
+    "escape.rise": "holds wherever the drone is slow",
+}
+"""What is different about a renamed parameter, by its old path."""
+
 _NO_USE = "flights without it arrive as often"
 _FIXED = "its default is part of the planner now"
 
@@ -49,6 +56,7 @@ REMOVED: dict[str, str] = {
     ),
     "anchors.slow_rise": "way_out.rise holds wherever the drone is slow",
     "partition.continue_above": "unseen_space.continuation holds for both edges of the view",
+    "costs.floor": "the ground height now comes from the world or the drone, and costs.use_ground enables it",
     "partition.range_time": "the range follows from the look-ahead distance",
     "costs.blocked_range": "the path is checked as far as the look-ahead distance",
     "costs.blocked_radius": "the path is blocked where the clearance is below costs.distance_min",

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import field
-from typing import ClassVar
+from typing import Any, ClassVar
 
-from aero_planner.config.old_names import REMOVED, RENAMED
+from aero_planner.config.old_names import CHANGED, REMOVED, RENAMED
 from aero_planner.config.presets import PRESETS
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
@@ -20,8 +20,15 @@ from aero_planner.config.sections.partition import PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
 from aero_planner.config.sections.stages import StageConfig
 from aero_planner.config.sections.vehicle import VehicleConfig
-from aero_planner.parameters import ContradictionError, SectionedConfig, Value, did_you_mean, with_sections
-from aero_planner.registry import added_sections
+from aero_planner.parameters import (
+    ContradictionError,
+    SectionedConfig,
+    Value,
+    did_you_mean,
+    log_warning,
+    with_sections,
+)
+from aero_planner.registry import added_sections, names
 
 COARSE_ROWS, COARSE_COLUMNS = 10, 20
 """Coarse cells from straight down to straight up and around the horizon, each 18 deg wide, as in the paper."""
@@ -38,6 +45,7 @@ class PlannerConfig(SectionedConfig):
     """
 
     renamed: ClassVar[Mapping[str, str]] = RENAMED
+    changed: ClassVar[Mapping[str, str]] = CHANGED
     removed: ClassVar[Mapping[str, str]] = REMOVED
 
     vehicle: VehicleConfig = field(default_factory=VehicleConfig)
@@ -60,6 +68,17 @@ class PlannerConfig(SectionedConfig):
             if low >= high:
                 message = f"{path}_min is {low}; it must be less than {path}_max, which is {high}."
                 raise ContradictionError(message, f"{path}_min", f"{path}_max")
+
+    def replace(self, changes: Mapping[str, Value] | None = None, /, **sections: Any) -> PlannerConfig:
+        """Return a copy with `changes`, see the base class; logs a notice of those that an inactive stage ignores."""
+        config = super().replace(changes, **sections)
+        inactive = set(names("stages")) - set(config.stages.names)
+        for path in changes or ():
+            current = self.renamed.get(path, path)
+            section = current.partition(".")[0]
+            if section in inactive and current not in self.removed and config.get(current) != self.get(current):
+                log_warning("%s has no effect: stages.active does not list %s.", current, section)
+        return config
 
     @property
     def anchor_count(self) -> int:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator
@@ -19,16 +18,21 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from aero_planner.array_memory import allocate
+from aero_planner.arrays import PlannerInputs, PlannerOutputs, Sizes, Workspace
+from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
-from aero_planner.device.kernel_tuning import CPU, CUDA
-from aero_planner.pipeline import tuned_kernels
+from aero_planner.device.kernel_tuning import CPU, CUDA, KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.kernels.mppi import fill_noise
+from aero_planner.kernels.partition import fill_directions
+from aero_planner.pipeline import Pipeline
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
+from aero_planner.recorder import PlannerArrays
+from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
-from aero_planner.warp_init import init_warp
-
-_BLOCK_DIMS = (32, 256)
-"""CUDA block sizes of the launches of kernels that are not made for a tuning; each one has its own binary."""
+from aero_planner.warp_init import find_device, init_warp
 
 
 def warmup(config: PlannerConfig | None = None, device: str = "cpu") -> float:
@@ -73,7 +77,8 @@ def kernels_in(folder: str | Path) -> Iterator[Path]:
 def compile_ahead(
     folder: str | Path, *, architectures: Iterable[int] = (), cpu: bool = True, config: PlannerConfig | None = None
 ) -> list[Path]:
-    """Compile all kernels into a folder, for this machine's CPU and for CUDA architectures, such as 87 for an Orin.
+    """Compile all kernels of a planner into a folder, for this machine's CPU and for CUDA architectures, such as 87 for
+    an Orin.
 
     They are copied from Warp's cache, where they may be already. No GPU is needed. A process that is started with the
     folder in the environment variable WARP_CACHE_PATH compiles nothing, if its Warp has the same version. Call this in
@@ -83,7 +88,8 @@ def compile_ahead(
         folder: folder for the binaries; created if it does not exist.
         architectures: GPU compute capabilities without the dot.
         cpu: True to compile for the CPU.
-        config: parameters, on whose structure the kernels for the CPU depend; None for the default.
+        config: parameters, on whose structure the kernels depend: the vehicle model and the stages; None for the
+            default. The kernels are those of one drone.
 
     Returns:
         All binaries in the folder.
@@ -92,13 +98,34 @@ def compile_ahead(
         ValueError: Warp can't compile for an architecture.
         OSError: the folder can't be written.
     """
-    cache = _cache_in(folder)
+    cache, config = _cache_in(folder), config or PlannerConfig()
     if cpu:
         warmup(config)
-        _copy_kernels_for_cpu(cache)
+        _copy_kernels_for_cpu(config, cache)
     for architecture in architectures:
-        _compile_for_cuda(architecture, cache)
+        _compile_for_cuda(config, architecture, cache)
     return sorted(path for path in cache.rglob("*") if path.suffix in (".o", ".cubin", ".ptx"))
+
+
+def kernels_of_planner(config: PlannerConfig, tuning: KernelTuning) -> list[tuple[wp.Kernel, int]]:
+    """Return each kernel that a planner for one drone launches, and the block size, on a device with this tuning.
+
+    No such device is needed: the arrays are those of the CPU, and nothing is launched.
+    """
+    cpu, composition = find_device("cpu"), Composition.of(config)
+    sizes = Sizes.from_config(config, composition, batch=1, workers=1, tuning=tuning)
+
+    def made(kind: type | None) -> Any:
+        return None if kind is None else allocate(kind, sizes, cpu)
+
+    of_stages = {stage.name: (made(stage.arrays), made(stage.outputs)) for stage in composition.stages}
+    inputs, outputs, work = made(PlannerInputs), made(PlannerOutputs), made(Workspace)
+    memory = SweepMemory(cpu, 1, sweeps=1, points=1)
+    params = wp.zeros(1, dtype=Params, device=cpu)
+    arrays = PlannerArrays(inputs, outputs, work, of_stages, memory.arrays, memory.change, params)
+    pipeline = Pipeline(config, composition, sizes, tuning, arrays, dry=True)
+    tables = [(fill_directions, 256), (fill_noise, 256)]  # of a new planner
+    return list(dict.fromkeys([*tables, *pipeline.kernels]))
 
 
 def _cache_in(folder: str | Path) -> Path:
@@ -109,9 +136,9 @@ def _cache_in(folder: str | Path) -> Path:
     return cache
 
 
-def _copy_kernels_for_cpu(folder: Path) -> None:
+def _copy_kernels_for_cpu(config: PlannerConfig, folder: Path) -> None:
     """Copy the kernels for the CPU that this process has loaded from Warp's cache into a folder."""
-    for module in {*_written_modules(), *(kernel.module for kernel, _ in tuned_kernels(CPU))}:
+    for module in {kernel.module for kernel, _ in kernels_of_planner(config, CPU)}:
         for context, block_dim in module.execs:
             if context is None:  # that of the CPU
                 name = module.get_module_identifier(block_dim)
@@ -121,9 +148,9 @@ def _copy_kernels_for_cpu(folder: Path) -> None:
                         shutil.copyfile(path, folder / name / path.name)
 
 
-def _compile_for_cuda(architecture: int, folder: Path) -> None:
+def _compile_for_cuda(config: PlannerConfig, architecture: int, folder: Path) -> None:
     """Copy the kernels for a GPU from Warp's cache into a folder, after compiling those that are not there."""
-    for module, block_dims in _cuda_modules():
+    for module, block_dims in _modules_for_cuda(config).items():
         default = module.options["block_dim"]
         try:
             for block_dim in block_dims:
@@ -155,14 +182,9 @@ def _keep(compiled: Path, cached: Path) -> None:
                 os.replace(shutil.copyfile(path, Path(temporary, path.name)), cached / path.name)
 
 
-def _cuda_modules() -> Iterator[tuple[Any, Iterable[int]]]:
-    """Yield every Warp module of the package, including generated ones for CUDA, with its CUDA block sizes."""
-    yield from ((module, _BLOCK_DIMS) for module in _written_modules())
-    yield from ((kernel.module, (block_dim,)) for kernel, block_dim in tuned_kernels(CUDA))
-
-
-def _written_modules() -> list[Any]:
-    """Return the Warp modules of the package's kernels, without those that are generated for a tuning."""
-    names = [name for name in sys.modules if name.startswith("aero_planner.")]
-    content = {id(value): value for name in names for value in vars(sys.modules[name]).values()}.values()
-    return list({id(value.module): value.module for value in content if isinstance(value, wp.Kernel)}.values())
+def _modules_for_cuda(config: PlannerConfig) -> dict[Any, set[int]]:
+    """Return the Warp modules of a planner on CUDA, and the block sizes of each one, which have their own binaries."""
+    modules: dict[Any, set[int]] = {}
+    for kernel, block_dim in kernels_of_planner(config, CUDA):
+        modules.setdefault(kernel.module, set()).add(block_dim)
+    return modules

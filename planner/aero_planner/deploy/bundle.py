@@ -29,6 +29,7 @@ from typing import IO, Any
 
 import warp as wp
 
+from aero_planner import registry
 from aero_planner.config import PlannerConfig
 from aero_planner.user_file import open_user_file
 from aero_planner.warp_init import find_device
@@ -42,6 +43,10 @@ _MAX_MANIFEST_BYTES = 4 * 2**20
 _MAX_NAME_BYTES = 1024
 _CHUNK = 2**20
 _BLOCK = tarfile.BLOCKSIZE
+
+_PACKAGES = ("costs", "device", "kernels", "models", "stages")
+"""Packages whose sources make kernels."""
+_KINDS: tuple[registry.Kind, ...] = ("stages", "cost_terms", "models")
 
 _NAME = re.compile(r"(?!\.\.?(/|$))[\w.+-]+(/(?!\.\.?(/|$))[\w.+-]+){0,5}", re.ASCII)
 _EXPORT_AGAIN = "export it again with 'aero-planner export'"
@@ -176,12 +181,14 @@ def open_bundle(path: str | os.PathLike[str]) -> Bundle:
 
 @functools.cache
 def planner_digest() -> str:
-    """Return a digest of the names of all parameters and of every source file with Warp kernels."""
-    digest = hashlib.sha256("\n".join(info.path for info in PlannerConfig.parameters()).encode())
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        content = path.read_bytes()
-        if re.search(rb"^\s*@wp\.|wp\.struct\(", content, re.MULTILINE):
-            digest.update(content)
+    """Return a digest of the names of all parameters, cost terms and models, and of the sources that make kernels."""
+    names = [info.path for info in PlannerConfig.parameters()]
+    names += [name for kind in _KINDS for name in registry.names(kind)]
+    digest = hashlib.sha256("\n".join(names).encode())
+    root = Path(__file__).parents[1]
+    packages = (path for package in _PACKAGES for path in sorted((root / package).rglob("*.py")))
+    for path in (root / "composition.py", *packages):
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -23,11 +23,14 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.arrays import Workspace
 from aero_planner.cli_util import installed_version
+from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import load_config
 from aero_planner.deploy.aot import compile_ahead, kernels_in, load_kernels
 from aero_planner.deploy.bundle import CONFIG, FORMAT, GRAPH, KERNELS, MANIFEST, cpu_target, planner_digest
+from aero_planner.history import format_initial_state
 from aero_planner.output_files import check_folder, check_output_files
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
@@ -168,6 +171,9 @@ def _compile(work: Path, folder: Path, max_points: int, cpu: bool, architectures
             # A host plans like the node, which always avoids the ground.
             flown = config.replace({"costs.use_ground": True})
             save_graph(flown, max_points, place / _GRAPH_FILE, device=device)
+        composition = Composition.of(config)
+        kinds = [kind for stage in composition.stages for kind in (stage.arrays, stage.outputs) if kind is not None]
+        (place / "state.txt").write_text(format_initial_state([Workspace, *kinds]), encoding="ascii")
         target = [wp.config.version, str(len(config.kinds)), *(_cpu_features() if device == "cpu" else ())]
         (place / "target.txt").write_text("".join(f"{line}\n" for line in target), encoding="ascii")
 

@@ -15,8 +15,8 @@ def identify_lag(times: ArrayLike, commands: ArrayLike, values: ArrayLike) -> fl
     """Return the time constant of the first-order lag that fits a log best, by least squares [s].
 
     The lag follows dy = (c - y) / tau, with a gain and an offset that are fitted as well. Call it once per axis: with
-    body rates for `vehicle.rate_xy_lag`, `vehicle.rate_z_lag` and `onboard.response.rate_lag`; with the thrust setpoint
-    and the specific force along the body's z axis for the thrust lags.
+    body rates for `vehicle.rate_lag` and `onboard.response.rate_lag`; with the thrust setpoint and the specific force
+    along the body's z axis for the thrust lags.
 
     Args:
         times: Times of the samples, increasing [s], shape [n].

@@ -333,6 +333,11 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             "limits.plan_age", "sampling.steps", "sampling.dt",
         )  # fmt: skip
     vehicle = planner.vehicle
+    if vehicle.model != "ctbr":
+        raise ContradictionError(
+            f"vehicle.model is {vehicle.model}; the node commands thrust and body rates, so it must be ctbr.",
+            "vehicle.model",
+        )
     if vehicle.thrust_max <= vehicle.mass * vehicle.gravity:
         raise ContradictionError(
             f"vehicle.thrust_max is {vehicle.thrust_max} N; it must exceed the weight of "

@@ -37,7 +37,7 @@ typedef enum aero_status {
 
 typedef struct aero_sizes {
     int32_t instances; /* M */
-    int32_t rows;      /* R >= M: in the arrays, the braking candidates follow the instances */
+    int32_t rows;      /* R >= M: in the arrays, the candidates that stop follow the instances */
     int32_t steps;     /* N */
     int32_t points;    /* largest number of points of a cloud */
 } aero_sizes;
@@ -70,11 +70,14 @@ const char* aero_problem(const aero_planner* planner);
 /* Return the safety of the last plan. The controls of aero_command may be flown in any case. */
 aero_status aero_get_status(const aero_planner* planner);
 
-/* Return the index of the instance that the last plan flies, a row of the arrays. */
+/* Return the index of the instance that the last plan flies, a row of the arrays. If a candidate that stops has replaced
+ * it, the row holds its controls, rollout, clearance and costs. The array "flown" has the row of that candidate, and of
+ * its guide.
+ */
 int32_t aero_get_best(const aero_planner* planner);
 
-/* Return the controls to fly, N x 4: thrust [N], body rates [rad/s]. Call it after each plan; the pointer is valid
- * until the next one. Returns NULL if they can't be copied.
+/* Return the controls to fly, N x 4, those of vehicle.model: for ctbr thrust [N] and body rates [rad/s]. Call it after
+ * each plan; the pointer is valid until the next one. Returns NULL if they can't be copied.
  */
 const float* aero_command(aero_planner* planner);
 

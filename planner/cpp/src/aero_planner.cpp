@@ -11,7 +11,6 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
-#include <limits>
 #include <mutex>
 #include <stdexcept>
 #include <string>
@@ -67,10 +66,34 @@ Target read_target(const std::string& path, const char* export_option)
     return target;
 }
 
+template <class T> std::string bytes_of(T value) { return std::string(reinterpret_cast<const char*>(&value), sizeof value); }
+
+// Reads lines of an array's name, the type of its numbers, and their initial value.
+std::vector<State> read_state(const std::string& path)
+{
+    std::ifstream file(path);
+    std::vector<State> states;
+    std::string name, type, value;
+    while (file >> name >> type >> value) {
+        if (type == "float32")
+            states.push_back({name, bytes_of(std::strtof(value.c_str(), nullptr))});
+        else if (type == "float64")
+            states.push_back({name, bytes_of(std::strtod(value.c_str(), nullptr))});
+        else if (type == "int32")
+            states.push_back({name, bytes_of(static_cast<int32_t>(std::strtol(value.c_str(), nullptr, 10)))});
+        else
+            throw std::runtime_error(path + " names the type '" + type + "'; export the bundle again");
+    }
+    if (states.empty())
+        throw std::runtime_error(path + " can't be read; export the bundle again, or copy it whole");
+    return states;
+}
+
 } // namespace
 
 struct aero_planner {
     std::unique_ptr<Graph> graph;
+    std::vector<State> states;
     aero_sizes sizes {};
     aero_status status = AERO_OK;
     int32_t best = 0;
@@ -84,6 +107,7 @@ struct aero_planner {
         const std::string place = folder + "/graph/" + processor + "/";
         const Target target = read_target(
             place + "target.txt", gpu < 0 ? "--cpu" : "--arch on a machine with this GPU");
+        states = read_state(place + "state.txt");
         graph = gpu < 0 ? open_cpu_graph(place + "planner", target) : open_cuda_graph(place + "planner", gpu);
         read_sizes(target.instances);
     }
@@ -97,12 +121,13 @@ struct aero_planner {
         } expected[] = {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
             {"disturbance", 12}, {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
-            {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"seed", 4}, {"tick", 4},
-            {"previous_time", 8}, {"proven_stop_age", 4}, {"place_count", 4}, {"place_goal", 12},
+            {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"flown", 4}, {"seed", 4},
         };
         bool fits = true;
         for (const auto& array : expected)
             fits &= graph->bytes(array.name) == array.bytes;
+        for (const State& state : states)
+            fits &= graph->bytes(state.name.c_str()) > 0 && graph->bytes(state.name.c_str()) % state.initial.size() == 0;
         const size_t row = graph->bytes("previous_controls"), rows = graph->bytes("stage2_cost") / sizeof(float);
         fits &= row > 0 && row % 16 == 0 && graph->bytes("controls") == rows * row && graph->bytes("points") >= 12;
         fits &= instances > 0 && static_cast<size_t>(instances) <= rows;
@@ -150,14 +175,12 @@ struct aero_planner {
     void reset(int32_t seed)
     {
         put("seed", seed);
-        put("tick", int32_t {0});
-        const std::vector<char> zeros(graph->bytes("previous_controls"));
-        graph->put("previous_controls", zeros.data(), zeros.size());
-        put("previous_time", std::numeric_limits<double>::quiet_NaN());
-        const float never = std::numeric_limits<float>::infinity(), nowhere[3] = {never, never, never};
-        put("proven_stop_age", never);
-        put("place_count", int32_t {0});
-        put("place_goal", nowhere);
+        for (const State& state : states) {
+            std::string values;
+            while (values.size() < graph->bytes(state.name.c_str()))
+                values += state.initial;
+            graph->put(state.name.c_str(), values.data(), values.size());
+        }
     }
 
     // Runs a task. Returns 0, or -1 if it throws; `problem` is then the exception's message.

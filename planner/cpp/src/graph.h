@@ -41,6 +41,12 @@ struct Target {
     std::string processor; // triple and features of a CPU, on two lines
 };
 
+// An array that a planner carries from plan to plan, read from `state.txt` beside the graph.
+struct State {
+    std::string name;
+    std::string initial; // the bytes of one of its numbers where nothing is known yet
+};
+
 // Load STEM.wrp and STEM_modules.
 std::unique_ptr<Graph> open_cpu_graph(const std::string& stem, const Target& target);
 std::unique_ptr<Graph> open_cuda_graph(const std::string& stem, int ordinal);

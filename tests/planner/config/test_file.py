@@ -7,7 +7,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 
 from aero_planner import PlannerConfig
-from aero_planner.config.file import config_from_name, format_config, load_config, save_config
+from aero_planner.config.file import config_from_name, format_changes, format_config, load_config, save_config
 from tests.planner.config_cases import configs, write
 
 
@@ -21,13 +21,22 @@ def test_saved_files_round_trip_and_read_the_same_with_any_yaml_reader(tmp_path:
     assert os.listdir(tmp_path) == ["config.yaml"]
 
 
-def test_words_that_yaml_reads_as_booleans_are_quoted(tmp_path: Path):
-    path = tmp_path / "config.yaml"
-    save_config(PlannerConfig().replace({"candidates.prove_stop": "off"}), path)
-    assert yaml.safe_load(path.read_text())["candidates"]["prove_stop"] == "off"
-    assert load_config(path).candidates.prove_stop == "off"
-    path.write_text("candidates:\n  prove_stop: off\n")
-    assert load_config(path).candidates.prove_stop == "off"
+@pytest.mark.parametrize(
+    ("text", "stages"),
+    [
+        ("way_out", ("way_out",)),
+        ("memory, way_out  # both", ("way_out", "memory")),
+        ("'memory,way_out'", ("way_out", "memory")),
+        ("''", ()),
+        ("", ()),
+        (" # none", ()),
+    ],
+)
+def test_a_list_of_names_may_be_empty(tmp_path: Path, text: str, stages: tuple[str, ...]):
+    config = load_config(write(tmp_path / "a.yaml", f"stages:\n  active: {text}\n"))
+    assert config.stages.names == stages
+    for form in (format_config(config), format_changes(config)):
+        assert load_config(write(tmp_path / "b.yaml", form)) == config
 
 
 @pytest.mark.parametrize("value", [1e-5, 1e-300, 5e-324, 0.1 + 0.2, 1e3, 123.456789012345])
@@ -84,7 +93,7 @@ def test_numbers_may_be_written_in_any_common_form(tmp_path: Path, text: str, va
         ("costs:\n  q_track: 1_0\n", 2, "costs.q_track is '1_0'; it must be a number"),
         ("costs:\n  q_track: e5\n", 2, "costs.q_track is 'e5'; it must be a number"),
         ("costs:\n  q_track: [5]\n", 2, "costs.q_track is '[5]'; it must be a number"),
-        ("anchors:\n  refine: yes\n", 2, "anchors.refine is 'yes'; it must be true or false"),
+        ("candidates:\n  previous: yes\n", 2, "candidates.previous is 'yes'; it must be true or false"),
         ("costs:\n  q_track: 1\n  q_track: 1\n", 3, "costs.q_track is given twice"),
         ("costs:\n  q_track: 1\ncosts:\n", 3, "costs is given twice"),
         ("preset: paper\npreset: paper\n", 2, "preset is given twice"),
@@ -119,7 +128,11 @@ def test_numbers_may_be_written_in_any_common_form(tmp_path: Path, text: str, va
         ("costs:\n  q_track: off\n", 2, "costs.q_track is 'off'; it must be a number"),
         ("costs:\n  q_track: 0x10\n", 2, "costs.q_track is '0x10'; it must be a number"),
         ("costs:\n  q_track: 1:30\n", 2, "costs.q_track is '1:30'; it must be a number"),
-        ("anchors:\n  refine: 'true'\n", 2, "anchors.refine is 'true'; it must be true or false"),
+        ("candidates:\n  previous: 'true'\n", 2, "candidates.previous is 'true'; it must be true or false"),
+        ("stages:\n  active: [way_out]\n", 2, "stages.active is '[way_out]'; it must be names separated by commas"),
+        ("stages:\n\n  active: off\n", 3, "stages.active has 'off'"),
+        ("stages:\n  active: wayout\n", 2, "stages.active has 'wayout' (did you mean 'way_out'?)"),
+        ("escape:\n  q_escap: 1\n", 2, "unknown parameter 'escape.q_escap' (did you mean 'way_out.q_escape'?)"),
         ("5\n", 1, "'5' is not understood"),
         ("- costs\n", 1, "'- costs' is not understood"),
     ],
@@ -186,11 +199,3 @@ def test_names_are_presets_or_files(tmp_path: Path):
     assert config_from_name(path) == config_from_name(str(path)) == PlannerConfig.preset("fast-cpu")
     with pytest.raises(ValueError, match=r"'papr' is neither a preset .did you mean 'paper'.*presets: default, paper"):
         config_from_name("papr")
-
-
-def test_files_of_the_previous_release_still_load(tmp_path: Path, caplog: pytest.LogCaptureFixture):
-    path = write(tmp_path / "old.yaml", "costs:\n  way_ahead: 2.5\n  floor: 0.3\n")
-    assert load_config(path) == PlannerConfig().replace({"costs.waypoint_distance": 2.5})
-    renamed, removed = (record.getMessage() for record in caplog.records)
-    assert renamed.startswith(f"{path}, line 2: costs.way_ahead is now costs.waypoint_distance;")
-    assert removed.startswith(f"{path}, line 3: costs.floor is ignored: the ground height now comes from the world")

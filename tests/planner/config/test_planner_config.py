@@ -6,8 +6,12 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo
+from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
+from aero_planner.config.presets import PRESETS
+from aero_planner.registry import names
+from aero_planner.stages.memory.parameters import memory_duration
 
-NUMBERS = [info for info in PlannerConfig.parameters() if not info.choices and not isinstance(info.default, bool)]
+NUMBERS = [info for info in PlannerConfig.parameters() if type(info.default) in (int, float)]
 
 every_parameter = pytest.mark.parametrize("info", PlannerConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
@@ -23,7 +27,7 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
     assert info.check(info.default) == info.default
     if info.choices:
         assert info.default in info.choices and len(set(info.choices)) == len(info.choices)
-    else:
+    elif not info.pattern:
         assert math.isfinite(info.low) and math.isfinite(info.high) and info.low < info.high
     if info.scale == "log":
         assert info.low > 0
@@ -32,9 +36,8 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
 
 def test_labels_are_unique_within_a_section():
     infos = PlannerConfig.parameters()
-    infos = PlannerConfig.parameters()
-    names = [(info.section, info.label) for info in infos]
-    assert len(names) == len(set(names))
+    labels = [(info.section, info.label) for info in infos]
+    assert len(labels) == len(set(labels))
     assert all(info.label[0].isupper() and not info.label.endswith(".") and info.group for info in infos)
     assert PlannerConfig.find("costs.q_position").title == "Goal position weight Q_p [1/m]"
     assert PlannerConfig.find("sampling.samples").title == "Samples K"
@@ -49,14 +52,14 @@ def test_groups_are_contiguous():
 def test_physical_parameters_have_a_unit():
     without = {info.name for info in NUMBERS if not info.unit and isinstance(info.default, float)}
     assert without == {
-        "slow_spread", "slow_rise", "rise", "brake_reach", "temperature", "correlation", "q_attitude", "q_control",
-        "q_control_rate", "penalty", "soft_weight", "previous_discount",
+        "spread", "rise", "brake_reach", "temperature", "correlation", "q_attitude", "q_control", "q_control_rate",
+        "penalty", "soft_weight",
     }  # fmt: skip
 
 
 def test_live_names_are_unique_because_they_share_one_struct():
-    names = [info.name for info in PlannerConfig.parameters() if info.live]
-    assert len(names) == len(set(names))
+    live = [info.name for info in PlannerConfig.parameters() if info.live]
+    assert len(live) == len(set(live))
 
 
 def test_parameters_cover_every_section_in_order():
@@ -95,9 +98,9 @@ def test_fractions_are_refused_as_whole_numbers():
 
 @pytest.mark.parametrize("wrong", [1, 0, "true", None, 1.0])
 def test_switches_accept_only_booleans(wrong: object):
-    with pytest.raises(ValueError, match=r"anchors.refine is .*; it must be true or false"):
-        replace("anchors.refine", wrong)
-    assert replace("anchors.refine", np.False_).anchors.refine is False
+    with pytest.raises(ValueError, match=r"candidates.previous is .*; it must be true or false"):
+        replace("candidates.previous", wrong)
+    assert replace("candidates.previous", np.False_).candidates.previous is False
 
 
 @pytest.mark.parametrize("wrong", ["cubic", 1, None, ["quadratic"], np.array(["quadratic", "cubic"])])
@@ -163,6 +166,23 @@ def test_dictionaries_round_trip(name: str):
     assert PlannerConfig.presets()[name].endswith(".")
 
 
+def test_the_parameters_are_few():
+    assert len(PlannerConfig.parameters()) <= 70
+    assert sum(info.basic for info in PlannerConfig.parameters()) <= 15
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_set_only_what_differs_from_the_default(name: str):
+    _, changes = PRESETS[name]
+    assert set(PlannerConfig().differences(PlannerConfig.preset(name))) == set(changes)
+
+
+def test_the_preset_for_px4_is_the_default_for_its_lags_and_smooth_commands():
+    differences = PlannerConfig().differences(PlannerConfig.preset("px4"))
+    assert len(differences) <= 10
+    assert {"vehicle.thrust_lag", "vehicle.rate_lag", "costs.q_control_rate"} <= set(differences)
+
+
 def test_replace_changes_only_what_it_names():
     config = PlannerConfig().replace({"costs.q_track": 7.0, "sampling.steps": 10})
     changed = {info.path for info in PlannerConfig.parameters() if config.get(info.path) != info.default}
@@ -183,23 +203,57 @@ def test_paper_preset_is_the_paper():
     numbers = {
         "vehicle.mass": 1.0, "vehicle.thrust_min": 0.3, "vehicle.thrust_max": 16.35, "vehicle.rate_xy_max": 3.0,
         "vehicle.rate_z_max": 2.0, "partition.range_max": 10.0, "partition.range_min": 0.0, "partition.fine_cells": 6,
-        "partition.coarse_columns": 20, "partition.coarse_rows": 10, "anchors.columns": 5, "anchors.rows": 3,
-        "anchors.spacing": 18.0, "anchors.lookahead": 5.0, "anchors.slow_spread": 1.0, "anchors.refine": True,
+        "anchors.columns": 5, "anchors.rows": 3, "anchors.spacing": 18.0, "anchors.lookahead": 5.0,
         "sampling.samples": 128, "sampling.steps": 25, "sampling.dt": 0.05, "sampling.temperature": 0.1,
         "sampling.variance_thrust": 1.0, "sampling.variance_rate_xy": 1.0, "sampling.variance_rate_z": 0.5,
-        "sampling.correlation": 0.0, "sampling.keep_nominal": False, "costs.q_position": 3.0, "costs.q_velocity": 0.25,
+        "sampling.correlation": 0.0, "costs.q_position": 3.0, "costs.q_velocity": 0.25,
         "costs.q_attitude": 1.0, "costs.q_vnorm": 0.15, "costs.q_track": 15.0, "costs.q_control": 0.5,
         "costs.q_control_rate": 0.5, "costs.penalty": 1e6, "costs.decay": 5.0, "costs.distance_min": 0.4,
         "costs.distance_max": 1.0, "costs.shape": "exponential", "costs.q_speed": 0.0, "costs.q_blocked": 0.0,
     }  # fmt: skip
     assert {path: paper.get(path) for path in numbers} == numbers
-    # The options that bound the look-ahead never bind.
-    assert paper.anchors.lookahead_rest >= paper.anchors.lookahead
+    assert (COARSE_ROWS, COARSE_COLUMNS) == (10, 20) and paper.stages.names == ()
+    # The option that bounds the look-ahead never binds.
     assert 0.6 * paper.horizon * paper.vehicle.speed_limit > paper.anchors.lookahead
 
 
 @pytest.mark.parametrize(("limit", "memory"), [(7.0, 3.0), (3.0, 3.0), (2.0, 4.5), (1.0, 9.0), (0.5, 12.0)])
 def test_a_slow_drone_remembers_for_longer(limit: float, memory: float):
     config = PlannerConfig().replace({"vehicle.speed_limit": limit})
-    assert config.memory == memory
-    assert config.replace({"partition.memory_distance": 0.0}).memory == 3.0
+    assert memory_duration(config) == config.memory.duration(limit) == memory
+    assert memory_duration(config.replace({"memory.memory_distance": 0.0})) == 3.0
+    assert memory_duration(config.replace({"stages.active": "way_out"})) == 1.0  # ten sweeps, as in the paper
+
+
+def test_stages_have_one_form_and_the_order_in_which_they_act():
+    config = replace("stages.active", "memory,way_out , memory")
+    assert config.stages.active == "way_out, memory" and config.stages.names == ("way_out", "memory")
+    assert config == replace("stages.active", "way_out, memory") != PlannerConfig()
+    assert replace("stages.active", "").stages.names == ()
+    assert PlannerConfig().stages.names == names("stages")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "problem"),
+    [
+        ("wayout", r"stages\.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen_space, "),
+        ("way_out, costs", r"stages\.active has 'costs'.*; known: "),
+        ("way_out,", r"stages\.active is 'way_out,'; it must be names separated by commas\."),
+        ("way_out memory", r"stages\.active is .*; it must be names separated by commas\."),
+        (None, r"stages\.active is None; it must be names separated by commas\."),
+    ],
+)
+def test_wrong_stages_are_named(wrong: object, problem: str):
+    with pytest.raises(ValueError, match=problem):
+        replace("stages.active", wrong)
+
+
+def test_a_change_that_an_inactive_stage_ignores_is_noticed(caplog: pytest.LogCaptureFixture):
+    paper = PlannerConfig.preset("paper")
+    assert paper.replace({"way_out.q_escape": PlannerConfig().way_out.q_escape, "costs.q_track": 3.0}) != paper
+    paper.replace({"stages.active": "way_out", "way_out.q_escape": 3.0})
+    assert not caplog.records
+    paper.replace({"way_out.q_escape": 3.0})
+    assert [record.getMessage() for record in caplog.records] == [
+        "way_out.q_escape has no effect: stages.active does not list way_out."
+    ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.parameters import ParameterSection, did_you_mean, text
+from aero_planner.parameters import ContradictionError, ParameterSection, did_you_mean, text
 from aero_planner.registry import names
 
 
@@ -21,13 +21,16 @@ class StageConfig(ParameterSection, section="stages"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in self.names:
-            if name not in names("stages"):
-                hint = did_you_mean(name, names("stages"))
-                raise ValueError(f"stages.active has {name!r}{hint}; known: {', '.join(names('stages'))}.")
+        known = names("stages")
+        listed = {name.strip() for name in self.active.split(",")} - {""}
+        for name in sorted(listed):
+            if name not in known:
+                problem = f"stages.active has {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}."
+                raise ContradictionError(problem, "stages.active")
+        # In one form, since texts that differ rebuild the planner.
+        object.__setattr__(self, "active", ", ".join(name for name in known if name in listed))
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the active stages, in the order in which they act."""
-        listed = {name.strip() for name in self.active.split(",")} - {""}
-        return tuple(dict.fromkeys([name for name in names("stages") if name in listed] + sorted(listed)))
+        return tuple(self.active.split(", ")) if self.active else ()
