@@ -13,7 +13,7 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
-_FACTS = ("partition.view_min", "partition.view_max", "vehicle.delay", "costs.height_max")
+_FACTS = ("unseen_space.view_min", "unseen_space.view_max", "vehicle.delay", "costs.height_max")
 
 
 def config_for_drone(
@@ -81,8 +81,8 @@ def _facts(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, w
     roll, pitch, _ = lidar.mount_angles
     view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
     facts = {
-        "partition.view_min": view[0],
-        "partition.view_max": view[1],
+        "unseen_space.view_min": view[0],
+        "unseen_space.view_max": view[1],
         "vehicle.delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
     }
     if world is not None and config.costs.use_ground:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from aero_planner import PlannerConfig
 from aero_planner.sweeps import sweeps_within
 from aero_viz.sensors.models import LidarModel
+from aero_viz.session.source import memory_of
 
 SWEEPS = 30
 """Number of sweeps that were measured before the start, three seconds of a Mid-360."""
@@ -15,9 +16,9 @@ MOST_SWEEPS = 120
 
 
 def remembered_sweeps(memory: float, lidar: LidarModel) -> int:
-    """Return how many sweeps are newer than `memory` [s] when one is complete, see `PlannerConfig.memory`."""
+    """Return how many sweeps are newer than `memory` [s] when one is complete, see `memory_of`."""
     return min(max(sweeps_within(memory, 1.0 / lidar.sweep_rate), 1), MOST_SWEEPS)
 
 
-DEFAULT_MEMORY = PlannerConfig().memory
+DEFAULT_MEMORY = memory_of(PlannerConfig())
 """Memory of the default configuration [s]."""

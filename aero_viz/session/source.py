@@ -18,6 +18,17 @@ if TYPE_CHECKING:
     from aero_viz.scenes import World
 
 
+SHORTEST_MEMORY = 1.0
+"""Time for which a planner without the stage "memory" gets sweeps [s]: that of ten sweeps, as in the paper."""
+
+
+def memory_of(config: PlannerConfig) -> float:
+    """Return the time for which a planner with this configuration remembers sweeps [s]."""
+    if "memory" not in config.stages.names:
+        return SHORTEST_MEMORY
+    return config.memory.duration(config.vehicle.speed_limit)
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """Input of the planner at one tick."""
@@ -47,10 +58,10 @@ class Observation:
     where all that are known are in `sweeps`."""
 
     def remembered(self, config: PlannerConfig) -> Observation:
-        """Return this observation with the sweeps that the configuration remembers, see `PlannerConfig.memory`."""
+        """Return this observation with the sweeps that the configuration remembers, see `memory_of`."""
         if self.recall is None:
             return self
-        sweeps, times = self.recall(config.memory)
+        sweeps, times = self.recall(memory_of(config))
         return dataclasses.replace(self, sweeps=sweeps, sweep_times=times, recall=None)
 
     @property
