@@ -16,14 +16,23 @@ from numpy.typing import NDArray
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, ColorKey, ColorScale, Layer, apply, legend_entries
+from aero_viz.dashboard.layers import (
+    LAYERS,
+    LIVE_PLAN,
+    Change,
+    ColorKey,
+    ColorScale,
+    Layer,
+    apply,
+    known_names,
+    legend_entries,
+)
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import build
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
-from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame, Notice
@@ -161,11 +170,9 @@ class Dashboard:
         Raises:
             UserError: there is no such layer; lists them.
         """
-        for name in names or ():
-            if name not in self.layers:
-                raise UserError(f"There is no layer {name!r}; the layers are {', '.join(self.layers)}.")
+        shown = None if names is None else known_names(names, self.layers)
         for name, layer in self.layers.items():
-            layer.visible = layer.on_by_default if names is None else name in names
+            layer.visible = layer.on_by_default if shown is None else name in shown
         self._page.update_samples()
         self.refresh()
 

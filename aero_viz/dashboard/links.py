@@ -99,6 +99,9 @@ class Link:
         for path, text in entries.items():
             if path in conditions:
                 values[path] = conditions[path].check(_value(conditions[path], text))
+            elif path in PlannerConfig.renamed or path in PlannerConfig.removed:
+                if (current := PlannerConfig.current_path(path, "The link: ")) is not None:
+                    config[current] = _value(parameters[current], text)
             elif path in parameters:
                 config[path] = _value(parameters[path], text)
             else:
@@ -157,7 +160,7 @@ def _number(entries: dict[str, str], name: str, default: Any) -> Any:
 
 
 def _value(info: ParameterInfo, text: str) -> Any:
-    if info.choices:
+    if isinstance(info.default, str):
         return text
     if isinstance(info.default, bool):
         if text not in ("True", "False"):

@@ -8,7 +8,7 @@ Each layer has its own hue, in the scene, in the legend and in the status panel:
     selection  magenta
     drone      white with an orange nose, orange trail        recording  violet
     cells      NEAR_TO_FAR by range where measured        directions VIRIDIS by free range
-               pale lilac where continued, brown where unseen, indigo where hidden
+               pale lilac where continued, brown where unseen, indigo where occluded
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ SELECTED: Rgb = (255, 70, 255)
 MOVING: Rgb = (255, 128, 72)
 CONTINUED: Rgb = (208, 196, 232)
 UNSEEN: Rgb = (196, 120, 92)
-HIDDEN: Rgb = (96, 92, 190)
+OCCLUDED: Rgb = (96, 92, 190)
 
 GOOD: Rgb = (52, 211, 123)
 WARNING: Rgb = (250, 176, 5)

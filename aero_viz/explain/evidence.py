@@ -1,4 +1,4 @@
-"""A plan with everything that led to it: the tick is planned again, and the intermediate results are kept."""
+"""A plan with everything that led to it: the tick is planned again, and the planner splits its costs by term."""
 
 from __future__ import annotations
 
@@ -9,68 +9,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, Planner
+from aero_planner.cost_terms import CostTerms
+from aero_planner.safety import Safety
+from aero_planner.stages.way_out.places import PLACES
 from aero_viz.errors import UserError
-from aero_viz.explain.terms import (
-    STAGE2,
-    Obstacles,
-    Problem,
-    Rollouts,
-    collision_cost,
-    roll_out,
-    stage1_terms,
-    stage2_terms,
-    step_times,
-)
+from aero_viz.explain.obstacles import Obstacles
 from aero_viz.session.frame import Frame
-from aero_viz.session.safety import Safety, judge
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Stage1:
-    """Stage I of one instance with K samples."""
-
-    terms: Array
-    """Terms `STAGE1` of every sample at each step, shape [terms, K, N]."""
-    weights: Array
-    """Weights of the samples in the update, which sum to one, shape [K]."""
-
-    @property
-    def best(self) -> int:
-        """Sample with the lowest S1."""
-        return int(self.weights.argmax())
-
-    @property
-    def effective_samples(self) -> float:
-        """Effective number of samples, 1 / sum(w^2)."""
-        return float(1.0 / (self.weights**2).sum())
-
-
-@dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything that led to a plan of M instances with N steps."""
+    """Everything that led to a plan of M instances with K samples and N steps."""
 
     frame: Frame
     plan: Plan
-    """The plan of the frame, planned again with its samples."""
+    """The plan of the frame, planned again."""
     is_exact: bool
     """True if it equals that of the frame bit for bit."""
-    problem: Problem
-    waypoints: Array
-    """Waypoint of the cost-to-go of each instance [m], shape [M, 3]."""
-    terms: Array
-    """Terms `STAGE2` of each instance at each step, shape [terms, M, N]."""
+    stage2: CostTerms
+    """Terms of S2 of each instance; of one that a stop has replaced, those of the stop."""
+    stage1: CostTerms
+    """Terms of S1 of the best sample of each instance."""
+    weights: Array
+    """Weights of the samples in the update of each instance, which sum to one, shape [M, K]."""
+    obstacles: Obstacles
+    """What the plan knows of obstacles."""
     distance: Array
-    """Distance to the obstacles after each control [m], shape [M, N]; unlike `Plan.clearance` without an upper end."""
+    """Distance to them after each control [m], shape [M, N]; unlike `Plan.clearance` without an upper end."""
     safety: Safety
-    """What the planner measured of the instances, and which of them are safe."""
-    samples: tuple[Array, Array]
-    """Controls [M, K, N, 4] and J_col at each step [M, K, N] of the samples."""
-    start: tuple[Array, Array, Array]
-    """Position, velocity and quaternion at which the plan takes effect."""
-    control: tuple[Array, Array]
-    """Controls in effect and commanded at the start, shape [4] each."""
+    """The planner's judgement of the instances."""
+    places: int
+    """Number of local minima in the tabu memory."""
 
     @property
     def is_safe(self) -> NDArray[np.bool_]:
@@ -78,31 +49,17 @@ class Evidence:
         return self.safety.is_safe
 
     @property
-    def has_stop(self) -> NDArray[np.bool_]:
-        """True for each instance with a clear stop, shape [M]; true for all if no stop is proven."""
-        if self.safety.stop_clearance is None:
-            return np.ones(len(self.is_safe), dtype=np.bool_)
-        return self.safety.stop_clearance >= self.safety.clear_stop
+    def times(self) -> Array:
+        """Time of each step in the plan [s], shape [N]."""
+        return self.frame.config.sampling.dt * np.arange(1, self.plan.controls.shape[1] + 1)
 
-    def stage1(self, instance: int) -> Stage1:
-        """Return Stage I of an instance."""
-        plan, config = self.plan, self.frame.config
-        controls, collision = self.samples[0][instance], self.samples[1][instance]
-        model = roll_out(self.start, self.control[0], controls, config)
-        assert plan.samples is not None
-        x = Rollouts(plan.samples[instance, :, 1:].astype(np.float64), model.velocities, model.quaternions)
-        kind = config.kinds[instance]
-        guide = None if kind == "previous" else self._guide(instance)
-        terms = stage1_terms(
-            x, controls, guide, self.control[1], self.waypoints[instance], self.problem, collision=collision
-        )
-        cost = plan.stage1_cost[instance].astype(np.float64)
-        weights = np.exp((cost.min() - cost) / config.sampling.temperature)
-        return Stage1(terms, weights / weights.sum())
+    def best_sample(self, instance: int) -> int:
+        """Return the sample of an instance with the lowest S1."""
+        return int(self.plan.stage1_cost[instance].argmin())
 
-    def _guide(self, instance: int) -> Array:
-        times = self.frame.config.sampling.dt * np.arange(1, self.plan.controls.shape[1] + 1)
-        return (self.plan.guide_coefficients[instance].astype(np.float64) @ times[None] ** np.arange(6)[:, None]).T
+    def effective_samples(self, instance: int) -> float:
+        """Return the effective number of samples of an instance, 1 / sum(w^2)."""
+        return float(1.0 / (self.weights[instance] ** 2).sum())
 
 
 class Replanner:
@@ -125,7 +82,7 @@ class Replanner:
             )
         planner = self._configured(frame)
         planner.restore(frame.checkpoint.planner)
-        return _evidence(frame, frame.observation.plan_with(planner, samples=True), planner)
+        return _evidence(frame, frame.observation.plan_with(planner), planner)
 
     def close(self) -> None:
         """Release the planner."""
@@ -145,47 +102,24 @@ class Replanner:
 
 
 def _evidence(frame: Frame, plan: Plan, planner: Planner) -> Evidence:
-    config, work, checkpoint = frame.config, planner.workspace, frame.checkpoint
-    assert checkpoint is not None
-    M, K = plan.stage1_cost.shape
-
-    def read(name: str) -> Any:
-        return getattr(work, name).numpy()[0].astype(np.float64)
-
-    waypoints, goal = read("waypoints")[:M], np.asarray(frame.observation.goal.position, dtype=np.float64)
-    waypoints[[kind == "brake" for kind in plan.kinds]] = goal
-    points = np.asarray(plan.filtered_points)
-    places = checkpoint.planner.places[0, : int(checkpoint.planner.place_count[0])]
-    problem = Problem(
-        config,
-        (goal, read("goal_velocity"), read("goal_quaternion")),
-        Obstacles(points, frame.observation.ground_height, config, plan.moving),
-        places.astype(np.float64),
-        float(checkpoint.planner.place_nearest[0]),
-    )
-    states = (plan.positions, plan.velocities, plan.quaternions)
-    x = Rollouts(*(array[:, 1:].astype(np.float64) for array in states))
-    distance = problem.obstacles.distance(x.positions, step_times(x.positions, config))
-    controls, command = plan.controls.astype(np.float64), read("command")
-    terms = stage2_terms(x, controls, command, waypoints, problem, collision=collision_cost(distance, config))
-    is_previous = [kind == "previous" for kind in plan.kinds]
-    terms[STAGE2.index("escape"), is_previous] *= 1.0 - config.escape.previous_discount
-    instance_of = np.s_[: plan.controls.shape[1]]
+    assert frame.checkpoint is not None
+    (M, K), kept = plan.stage1_cost.shape, frame.checkpoint.planner.arrays
+    stage1 = planner.cost_terms(samples=[(m, int(costs.argmin())) for m, costs in enumerate(plan.stage1_cost)])
+    weights = planner.workspace.sample_weights.numpy()[:M, :K].astype(np.float64)
+    obstacles = Obstacles(np.asarray(plan.filtered_points), frame.observation.ground_height, frame.config, plan.moving)
+    positions = plan.positions[:, 1:].astype(np.float64)
+    times = frame.config.sampling.dt * np.arange(1, positions.shape[1] + 1)
     return Evidence(
         frame=frame,
         plan=plan,
         is_exact=_equal(plan, frame.plan),
-        problem=problem,
-        waypoints=waypoints,
-        terms=terms,
-        distance=distance,
-        safety=judge(planner, best=int(plan.best), status=int(plan.status)),
-        samples=(
-            work.sample_controls.numpy()[..., :K].astype(np.float64).transpose(0, 3, 1, 2),
-            work.sample_clearance_cost.numpy()[:, instance_of, :K].astype(np.float64).transpose(0, 2, 1),
-        ),
-        start=(read("position"), read("velocity"), read("quaternion")),
-        control=(read("control"), command),
+        stage2=planner.cost_terms(range(M)).of_stage2(),
+        stage1=stage1.of_stage1(),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+        obstacles=obstacles,
+        distance=obstacles.distance(positions, times),
+        safety=planner.safety(),
+        places=min(int(kept["place_count"][0]), int(PLACES)) if "place_count" in kept else 0,
     )
 
 

@@ -108,20 +108,10 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
         is_inside = bool(np.abs(into_cell - 0.5).max() < 0.45)
         moved = frame.config.vehicle.delay * float(np.linalg.norm(state.velocity))
         is_left_out = is_inside and distance < plan.fine_range[row, column] - _LEFT_OUT - moved
-        if is_left_out and (reason := _reason_left_out(distance, frame)):
-            facts.append(("partition", f"left out: {reason}"))
+        if is_left_out and distance < frame.config.partition.range_min:
+            facts.append(("partition", "left out: nearer than partition.range_min"))
     return [
         *facts,
         ("fine cell", f"row {row}, column {column}: nearest {plan.fine_range[row, column]:.2f} m"),
         ("coarse cell", f"largest range {plan.safe_range[row // pool, column // pool]:.2f} m"),
     ]
-
-
-def _reason_left_out(distance: float, frame: Frame) -> str | None:
-    """Return why the partition leaves out a point that is nearer than all others of its cell; None if it is unknown."""
-    config = frame.config
-    if distance < config.partition.range_min:
-        return "nearer than partition.range_min"
-    if config.partition.predict and config.vehicle.speed_limit < config.partition.predict_wake_speed:
-        return "an obstacle has moved on from here (partition.predict_wake_speed)"
-    return None

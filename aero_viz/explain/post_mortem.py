@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from aero_planner import PlanStatus
 from aero_planner.quaternions import rotate
+from aero_planner.stages.stop_proof.stops import STOPPED
 from aero_viz.explain.evidence import Evidence, Replanner
-from aero_viz.explain.terms import STAGE2
 from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
@@ -223,7 +223,7 @@ def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Fr
 
             distance = KDTree(cloud).query(places.reshape(-1, 3))[0]
         clear = np.asarray(distance).reshape(len(paths), -1).min(axis=1) >= radius
-        slow = np.linalg.norm(frame.plan.braking.velocities[:, -1], axis=1) < frame.config.candidates.stop_speed
+        slow = np.linalg.norm(frame.plan.braking.velocities[:, -1], axis=1) < float(STOPPED)
         if (clear & slow).any():
             return frame
     return None
@@ -248,7 +248,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     """Explain a flight that stalled, ran out of time or left the world, by its last plan."""
     last, frames = trace.last, list(trace.frames)
     evidence = replan(last)
-    to_go, escape = (evidence.terms[STAGE2.index(name)].sum(axis=1) for name in ("blocked path", "escape"))
+    to_go, escape = (evidence.stage2.values_of(name).sum(axis=1) for name in ("blocked_path", "escape"))
     rows = []
     for m, kind in enumerate(evidence.plan.kinds):
         clearance, time, name = closest(evidence, m)
@@ -273,9 +273,9 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
         sentences.append(
             f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
-            f"up to {to_go.max() / weight:.1f} m of {last.config.costs.blocked_range:g} m are blocked."
+            f"up to {to_go.max() / weight:.1f} m of {last.config.lookahead:g} m are blocked."
         )
-    if places := len(evidence.problem.places):
+    if places := evidence.places:
         are = "place without progress is" if places == 1 else "places without progress are"
         sentences.append(f"{places} {are} remembered nearby.")
     cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)])

@@ -184,7 +184,7 @@ class Comparison:
         self._planner.restore(history)
         plan = frame.observation.plan_with(self._planner)
         timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", 0.0)}
-        is_safe = self._engine.judge(self._planner, plan)
+        is_safe = self._engine.judge(self._planner)
         return dataclasses.replace(frame, plan=plan, config=self.pinned, timings_ms=timings, is_safe=is_safe)
 
     def _fly(self, flight: _Flight) -> None:

@@ -11,11 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Plan, Planner, PlannerConfig
+from aero_planner import Planner, PlannerConfig
 from aero_planner.history import History
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
-from aero_viz.session.safety import judge
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint, Timeline
 
@@ -41,7 +40,7 @@ class Engine:
         self.samples = False
         """True if frames include the Stage I samples."""
         self.judges = False
-        """True if frames say of every candidate whether it is safe. That takes some 1.4 ms on a CPU."""
+        """True if frames say of every candidate whether it is safe, which is asked of the planner after each plan."""
         self.dropped_ticks = 0
         """Ticks of a recording that were skipped since its start."""
         self._configs = configs
@@ -208,7 +207,7 @@ class Engine:
             self._planner.restore(history)
         plan = observation.plan_with(self._planner, samples=self.samples)
         planned = time.perf_counter()
-        is_safe = self.judge(self._planner, plan)
+        is_safe = self.judge(self._planner)
         if is_new:
             checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)
             self._timeline.append(checkpoint, observation.actual_state.position)
@@ -242,9 +241,9 @@ class Engine:
         )
         return self._publish(frame)
 
-    def judge(self, planner: Planner, plan: Plan) -> NDArray[np.bool_] | None:
+    def judge(self, planner: Planner) -> NDArray[np.bool_] | None:
         """Return which candidates of a planner's last plan are safe, shape [M]; None if nobody wants to know."""
-        return judge(planner, best=int(plan.best), status=int(plan.status)).is_safe if self.judges else None
+        return planner.safety().is_safe if self.judges else None
 
     def _publish(self, frame: Frame) -> Frame:
         self.frame = frame

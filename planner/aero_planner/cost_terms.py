@@ -31,6 +31,23 @@ class CostTerms:
     clearance: Array
     """Distance to the nearest obstacle after each control [m], shape [n, N], truncated where it costs nothing."""
 
+    def of_stage1(self) -> CostTerms:
+        """Return the same without the terms that are not a part of S1."""
+        return self._chosen([i for i, term in enumerate(self.terms) if term.in_stage1])
+
+    def of_stage2(self) -> CostTerms:
+        """Return the same without the terms that are not a part of S2."""
+        return self._chosen([i for i, term in enumerate(self.terms) if term.in_stage2])
+
+    def _chosen(self, rows: list[int]) -> CostTerms:
+        terms = tuple(self.terms[i] for i in rows)
+        return CostTerms(terms, self.values[:, rows], self.positions, self.clearance)
+
+    def values_of(self, name: str) -> Array:
+        """Return a term at each step, shape [n, N]; zeros if there is none of this name."""
+        names = [term.name for term in self.terms]
+        return self.values[:, names.index(name)] if name in names else np.zeros_like(self.clearance)
+
     @property
     def stage1_cost(self) -> Array:
         """S1, shape [n]."""

@@ -30,6 +30,7 @@ from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.plan_inputs import check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
 from aero_planner.recorder import PlannerArrays, Recorder, stage_groups
+from aero_planner.safety import Safety, judge_instances
 from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps
@@ -402,7 +403,7 @@ class Planner:
         since.
 
         Args:
-            instances: instances, for their Stage II rollouts.
+            instances: instances, for their Stage II rollouts; of one that a stop has replaced, for that of the stop.
             samples: instance and sample of Stage I rollouts, which follow those.
 
         Raises:
@@ -414,15 +415,29 @@ class Planner:
                 raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
         optimised: Any = self._outputs.arrays.controls.numpy()
         sampled: Any = self._work.sample_controls.numpy() if samples else None
-        controls = [optimised[0, m] for m in instances] + [sampled[m, :, :, k] for m, k in samples]
-        rows = [(0, m) for m in (*instances, *(m for m, _ in samples))]
-        recorder = Recorder(
-            lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
-        )
+        flown = {int(self._outputs.arrays.braking_instance.numpy()[0]): int(self._outputs.arrays.flown.numpy()[0])}
+        shown = [flown.get(m, m) for m in instances]
+        controls = [optimised[0, row] for row in shown] + [sampled[m, :, :, k] for m, k in samples]
+        rows = [(0, row) for row in (*shown, *(m for m, _ in samples))]
         kinds = self._config.kinds
         previous_index = kinds.index("previous") if "previous" in kinds else -1
         shape = (max(len(rows), 1), self._sizes.N, 4)
-        return evaluate_terms(recorder, rows, np.reshape(controls, shape) if rows else np.zeros(shape), previous_index)
+        values = np.reshape(controls, shape) if rows else np.zeros(shape)
+        return evaluate_terms(self._recorder(), rows, values, previous_index)
+
+    def safety(self) -> Safety:
+        """Return how the selection has judged the instances of the last plan, by its own functions.
+
+        With a batch they are those of the first drone. The planner must have planned, and nothing may have changed it
+        since.
+        """
+        return judge_instances(self._recorder())
+
+    def _recorder(self) -> Recorder:
+        """Return the arrays as kernels take them, for launches that are not part of a plan."""
+        return Recorder(
+            lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
+        )
 
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.

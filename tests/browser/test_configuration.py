@@ -21,7 +21,7 @@ def upload(desk: Desk, path: Path) -> None:
 
 def test_a_downloaded_file_restores_its_configuration_when_uploaded(restored_desk, tmp_path):
     desk = restored_desk
-    saved = desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
+    saved = desk.session.configure({"costs.q_track": 7.5, "candidates.previous": False})
     desk.open_tab("Tune")
     desk.open_folder("File", "Download YAML")
     path = desk.download("Download YAML", tmp_path)
@@ -57,10 +57,10 @@ def test_presets_and_resets_set_the_configuration_that_they_name(restored_desk):
     preset = desk.control("Preset").locator("input").first
     desk.wait_for(lambda: preset.input_value() == "default", "the default preset to be shown")
 
-    desk.session.configure({"costs.q_track": 7.5, "candidates.brake": False})
+    desk.session.configure({"costs.q_track": 7.5, "candidates.previous": False})
     desk.wait_for(lambda: preset.input_value() == "(changed)", "the changes to be seen")
     desk.click("Reset tracking and effort")
-    desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.brake": False}), "the default weights")
+    desk.wait_for(lambda: desk.session.config == DEFAULT.replace({"candidates.previous": False}), "the default weights")
     desk.click("reset all")
     desk.wait_for(lambda: desk.session.config == desk.known(DEFAULT), "the default")
 

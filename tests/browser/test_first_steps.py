@@ -37,7 +37,7 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
         desk.open_tab("Tune")
         preset = desk.control("Preset").locator("input").first
         desk.choose("Preset", "default")
-        desk.wait_for(lambda: desk.session.config.candidates.prove_stop == "instead", "the default configuration")
+        desk.wait_for(lambda: desk.session.config.stop_proof.prove_stop, "the default configuration")
         desk.click("Restart")
         desk.wait_for(lambda: desk.session.frame is not None and desk.session.frame.index == 0, "the start")
         assert fly(desk) == "arrived"

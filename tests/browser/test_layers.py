@@ -45,7 +45,7 @@ SWITCHED = [
     ("cloud", None, 5000),
     ("fine_cells", None, 20_000),
     ("unseen_cells", None, 5000),
-    ("hidden_space", None, 1000),
+    ("occluded_space", None, 1000),
     ("coarse_cells", None, 5000),
     ("drone", None, 150),
     ("trail", palette.TRAIL, 100),

@@ -3,6 +3,7 @@
 import re
 import threading
 from collections.abc import Mapping
+from html import unescape
 from typing import Any
 
 from small_source import small_config, small_source
@@ -19,11 +20,11 @@ from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 
 def test_differences_show_old_and_new_value_and_the_flags():
-    config = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.brake": False})
+    config = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.previous": False})
     html = differences(config, Baseline.from_config(PlannerConfig()))
     text = re.sub("<[^>]*>", " ", html)
     assert "3.0 → 7.5" in text and "True → False" in text
-    assert "--costs.q-track 7.5" in text and "--candidates.brake False" in text
+    assert "--costs.q-track 7.5" in text and "--candidates.previous False" in text
 
 
 def test_the_default_differs_in_nothing():
@@ -32,12 +33,20 @@ def test_the_default_differs_in_nothing():
 
 def test_changes_of_another_preset_can_be_pasted_as_flags_and_as_a_file(tmp_path):
     paper = PlannerConfig.preset("paper")
-    config = paper.replace({"costs.q_track": 7.5, "costs.shape": "quadratic", "candidates.brake": True})
+    config = paper.replace(
+        {
+            "costs.q_track": 7.5,
+            "costs.shape": "quadratic",
+            "candidates.previous": True,
+            "stages.active": "memory, way_out",
+        }
+    )
     html = differences(config, Baseline.from_config(paper))
     flags, text = (re.search(f'aero-{name}"[^>]*>([^<]*)<', html) for name in ("flags", "yaml"))
     assert flags is not None and text is not None
     assert flags[1].startswith("--config paper ") and "--costs.shape quadratic" in flags[1]
-    (tmp_path / "pasted.yaml").write_text(text[1])
+    assert "--stages.active 'way_out, memory'" in unescape(flags[1]), "one word of a shell"
+    (tmp_path / "pasted.yaml").write_text(unescape(text[1]))
     assert load_config(tmp_path / "pasted.yaml") == config
 
 

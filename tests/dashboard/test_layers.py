@@ -146,7 +146,7 @@ def test_continued_cells_have_a_colour_of_their_own_where_the_plan_names_them(se
 @pytest.mark.parametrize(("view_min", "view_max"), [(-7.0, 52.0), (-90.0, 52.0), (-90.0, 90.0)])
 @pytest.mark.parametrize("is_named", [True, False], ids=["continued cells named", "not named"])
 def test_unseen_cells_are_continued_or_empty_outside_the_field_of_view(server, frame, view_min, view_max, is_named):
-    config = frame.config.replace({"partition.view_min": view_min, "partition.view_max": view_max})
+    config = frame.config.replace({"unseen_space.view_min": view_min, "unseen_space.view_max": view_max})
     plan = frame.plan if is_named else dataclasses.replace(frame.plan, continued_cells=None)
     seen, layer = dataclasses.replace(frame, config=config, plan=plan), UnseenCellLayer(server)
     changes = {name: value for _, name, value in layer.update(seen)}
@@ -333,7 +333,7 @@ def test_a_layer_that_is_hidden_while_a_visitor_connects_is_hidden_from_this_vis
         assert not layer.is_visible_to(visitor.client_id)
 
 
-def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
+def test_dynamic_obstacles_are_ringed_now_and_at_the_end_of_the_plan(server, frame):
     layer, node = MotionLayer(server), "/motion/lines"
     still = dataclasses.replace(frame, plan=with_moving(frame.plan, np.zeros((0, 5))))
     assert [value for _, name, value in layer.update(still) if name == "visible"] == [False] and not layer.legend(still)
@@ -342,7 +342,7 @@ def test_what_moves_is_ringed_now_and_at_the_end_of_the_plan(server, frame):
     height = frame.observation.actual_state.position[2]
     np.testing.assert_allclose(points[..., 2], height, rtol=1e-6)
     end = np.array([5.0, 1.0 - 2.0 * frame.config.horizon])
-    radius = 0.4 + frame.config.partition.predict_growth * frame.config.horizon
+    radius = 0.4 + 0.1 * frame.config.horizon
     for center, expected, ring in (((5.0, 1.0), 0.4, points[:32]), (end, radius, points[32:64])):
         np.testing.assert_allclose(np.linalg.norm(ring[..., :2] - center, axis=-1), expected, rtol=1e-5)
     np.testing.assert_allclose(points[64, :, :2], np.array([[5.0, 1.0], end]), rtol=1e-6)

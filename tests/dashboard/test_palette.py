@@ -39,7 +39,7 @@ def test_layers_differ_in_colour():
 
 
 def test_cells_that_were_not_measured_differ_in_colour_from_each_other_and_from_measured_ones():
-    cells = np.array([palette.CONTINUED, palette.UNSEEN, palette.HIDDEN], dtype=float)
+    cells = np.array([palette.CONTINUED, palette.UNSEEN, palette.OCCLUDED], dtype=float)
     apart = np.abs(cells[:, None] - cells[None]).max(axis=-1)
     assert apart[~np.eye(3, dtype=bool)].min() > 90
     assert np.abs(palette.NEAR_TO_FAR.astype(float) - palette.CONTINUED).max(axis=-1).min() > 90

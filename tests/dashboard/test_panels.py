@@ -12,7 +12,7 @@ from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.conditions import ConditionControls
 from aero_viz.dashboard.panels.configuration import parse_upload
-from aero_viz.dashboard.panels.controls import SliderControl, add_control
+from aero_viz.dashboard.panels.controls import ItemsControl, SliderControl, add_control
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
 from aero_viz.dashboard.panels.study import progress
 from aero_viz.dashboard.server import LocalServer
@@ -62,9 +62,9 @@ def test_a_height_has_a_field_without_a_slider(server, path):
     ("query", "path"),
     [
         ("Q_p", "costs.q_position"),
-        ("--escape.previous-discount", "escape.previous_discount"),
-        ("escape.previous_discount", "escape.previous_discount"),
-        ("look-ahead rest", "anchors.lookahead_rest"),
+        ("--way-out.q-escape", "way_out.q_escape"),
+        ("way_out.q_escape", "way_out.q_escape"),
+        ("look-ahead time", "anchors.lookahead_time"),
     ],
 )
 def test_words_of_the_search_are_matched_whole(server, query, path):
@@ -77,6 +77,25 @@ def test_words_of_the_search_are_matched_whole(server, query, path):
         if ParameterRow(server.gui, info, info.default, on_change=ignore, on_reset=ignore).matches(query)
     ]
     assert paths == [path]
+
+
+def test_the_stages_have_a_check_box_each_and_the_model_a_menu(server):
+    info = PlannerConfig.find("stages.active")
+    control = add_control(server.gui, info, info.default)
+    assert isinstance(control, ItemsControl) and control.value == info.default
+    assert [box.label for box in control.boxes.values()][:2] == ["Unseen space", "Moving obstacles"]
+    control.boxes["way_out"].value = False
+    less = PlannerConfig().replace({"stages.active": control.value})
+    assert "way_out" not in less.stages.names and len(less.stages.names) == len(info.items) - 1
+    assert not control.show(less.stages.active)
+    apply(control.show(""))
+    assert control.value == "" and not any(box.value for box in control.boxes.values())
+    assert [control.describe(value) for value in ("", "way_out, memory", info.default)] == [
+        "none", "way out, memory", "all",
+    ]  # fmt: skip
+    model = PlannerConfig.find("vehicle.model")
+    (menu,) = add_control(server.gui, model, model.default).handles
+    assert {"ctbr", "acceleration"} <= set(menu.options)
 
 
 def test_a_logarithmic_slider_stays_within_the_bounds_of_the_parameter(server):

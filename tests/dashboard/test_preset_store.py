@@ -10,7 +10,7 @@ from aero_planner.config.file import load_config
 from aero_viz.dashboard.preset_store import PresetStore
 from aero_viz.errors import UserError
 
-CONFIG = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.brake": False})
+CONFIG = PlannerConfig().replace({"costs.q_track": 7.5, "candidates.previous": False})
 
 
 @pytest.fixture

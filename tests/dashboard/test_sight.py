@@ -1,4 +1,4 @@
-"""The cut through hidden space at the height of the drone."""
+"""The cut through occluded space at the height of the drone."""
 
 import dataclasses
 
@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from aero_planner.config import Value
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.sight import HiddenSpaceLayer, seen_ranges
+from aero_viz.dashboard.layers.sight import OccludedSpaceLayer
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
 from aero_viz.session import Frame, Session
@@ -23,12 +24,11 @@ def frame():
     return frames[-1]
 
 
-def with_config(frame: Frame, **changes: object) -> Frame:
-    values = {f"candidates.{name}": value for name, value in changes.items()}
-    return dataclasses.replace(frame, config=frame.config.replace(values))  # type: ignore[arg-type]
+def with_config(frame: Frame, changes: dict[str, Value]) -> Frame:
+    return dataclasses.replace(frame, config=frame.config.replace(changes))
 
 
-def radii(layer: HiddenSpaceLayer, frame: Frame, name: str) -> NDArray[np.float64]:
+def radii(layer: OccludedSpaceLayer, frame: Frame, name: str) -> NDArray[np.float64]:
     """Return the distances from the drone at which each sector of a mesh begins and ends [m], shape [sectors, 2]."""
     changes = {(handle.name.split("/")[-1], key): value for handle, key, value in layer.update(frame)}
     np.testing.assert_array_equal(changes["drone", "position"], frame.observation.state.position)
@@ -41,41 +41,33 @@ def radii(layer: HiddenSpaceLayer, frame: Frame, name: str) -> NDArray[np.float6
     return distance[:, :2]
 
 
-@pytest.mark.parametrize("is_closed", [True, False])
-def test_cells_are_seen_up_to_their_range_or_that_of_a_hole(frame, is_closed):
-    found = seen_ranges(with_config(frame, stop_seen_closing=is_closed))
-    fine = frame.plan.fine_range
-    np.testing.assert_array_equal(found, reference.closed(fine) if is_closed else fine)
-    assert (found < fine).any() == is_closed
-
-
 def test_the_cut_shows_where_no_stop_may_lie_and_what_is_not_seen(server, frame):
-    layer = HiddenSpaceLayer(server)
-    hidden, assumed = (radii(layer, frame, name) for name in ("hidden", "assumed"))
-    angle = 2.0 * np.pi * (np.arange(len(hidden)) + 0.5) / len(hidden)
+    layer = OccludedSpaceLayer(server)
+    occluded, assumed = (radii(layer, frame, name) for name in ("occluded", "assumed"))
+    angle = 2.0 * np.pi * (np.arange(len(occluded)) + 0.5) / len(occluded)
     toward = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=-1)
     body = toward @ reference.rotation(np.asarray(frame.observation.state.quaternion))
-    fine, part, reach = frame.plan.fine_range.astype(np.float64), frame.config.partition, frame.config.farthest_range
+    fine, view, reach = frame.plan.fine_range.astype(np.float64), frame.config.unseen_space, frame.config.farthest_range
     row, column, border = reference.cell_indices(body, *fine.shape)
     is_sure = border > 1e-4  # rounding decides on the cells of the others
-    seen = np.maximum(reference.closed(fine)[row, column], 0.5)
-    np.testing.assert_allclose(hidden[is_sure, 0], seen[is_sure], atol=1e-4)
-    np.testing.assert_allclose(hidden[:, 1], reach, atol=1e-4)
+    seen = np.maximum(fine[row, column], 0.5)
+    np.testing.assert_allclose(occluded[is_sure, 0], seen[is_sure], atol=1e-4)
+    np.testing.assert_allclose(occluded[:, 1], reach, atol=1e-4)
     elevation = np.degrees(np.arcsin(reference.cell_centers(*fine.shape)[row, column, 2]))
-    is_unseen = (fine[row, column] == reach) & ((elevation < part.view_min) | (elevation > part.view_max))
+    is_unseen = (fine[row, column] == reach) & ((elevation < view.view_min) | (elevation > view.view_max))
     is_unseen |= frame.plan.continued_cells[row, column]
     np.testing.assert_allclose(assumed[is_sure], np.stack((0.5 + 0 * seen, np.where(is_unseen, seen, 0.5)), 1)[is_sure])
-    assert 20 < (hidden[:, 0] < reach - 1e-3).sum() < 460 and is_unseen.any()
+    assert 20 < (occluded[:, 0] < reach - 1e-3).sum() < 460 and is_unseen.any()
 
 
-@pytest.mark.parametrize(("changes", "is_avoided"), [({}, True), ({"stop_seen": False}, False),
-                                                     ({"prove_stop": "off"}, False)])  # fmt: skip
-def test_the_legend_says_if_stops_avoid_what_is_hidden(server, frame, changes, is_avoided):
-    hidden, assumed = HiddenSpaceLayer(server).legend(with_config(frame, **changes))
-    assert ("no proven stop" in hidden.label) == is_avoided
-    assert (hidden.color, assumed.color) == (palette.HIDDEN, palette.UNSEEN)
+@pytest.mark.parametrize(("changes", "is_avoided"), [({}, True), ({"stop_proof.prove_stop": False}, False),
+                                                     ({"stages.active": "way_out"}, False)])  # fmt: skip
+def test_the_legend_says_if_stops_avoid_what_is_occluded(server, frame, changes, is_avoided):
+    occluded, assumed = OccludedSpaceLayer(server).legend(with_config(frame, changes))
+    assert ("no backup stop" in occluded.label) == is_avoided
+    assert (occluded.color, assumed.color) == (palette.OCCLUDED, palette.UNSEEN)
 
 
 def test_an_update_is_smaller_than_that_of_the_cells(server, frame):
-    sent = [value for _, _, value in HiddenSpaceLayer(server).update(frame)]
+    sent = [value for _, _, value in OccludedSpaceLayer(server).update(frame)]
     assert sum(value.nbytes for value in sent) < 50_000

@@ -9,13 +9,7 @@ from aero_viz.explain.evidence import Evidence, Replanner
 from aero_viz.session import Session
 
 OPEN_ABOVE = PlannerConfig().replace(
-    {
-        "partition.continue_above": 0.0,
-        "partition.continue_below": 2.0,
-        "costs.height_max": 99.0,
-        "partition.view_age": 0.0,
-        "partition.continue_before": 1e3,
-    }
+    {"unseen_space.continuation": 0.0, "unseen_space.view_age": 0.0, "costs.height_max": 99.0}
 )
 """A planner that takes what it does not see above for free, and hits ceilings."""
 

@@ -1,13 +1,11 @@
 """Meaning of a click in the scene."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from aero_planner import PlannerConfig
 from aero_viz.explain.picking import describe_point, pick
-from aero_viz.flight import FlightSource
-from aero_viz.scenes import scene
-from aero_viz.session import Session
 from tests.explain.conftest import evidence_of
 
 EYE = np.array([-3.0, -1.0, 4.0])
@@ -45,31 +43,17 @@ def test_a_point_of_the_cloud_tells_its_range_age_sweep_and_cell(frame):
     assert nearest <= distance + 0.05
 
 
-@pytest.fixture(scope="module")
-def among_pillars():
-    """A frame of a slow flight among pillars, all of which move."""
-    session = Session(
-        FlightSource(scene("moving", count=60, seed=1)), config=PlannerConfig().replace({"vehicle.speed_limit": 1.0})
-    )
-    frames = [session.tick() for _ in range(60)]
-    session.close()
-    return frames[-1]
-
-
-def test_a_point_that_an_obstacle_has_left_says_so(among_pillars):
-    sweeps = list(among_pillars.observation.sweeps)
-
-    def left_out(points):
-        facts = [dict(describe_point(among_pillars, point.astype(np.float64))) for point in points]
-        return [point for point, fact in zip(points, facts, strict=True) if "moved on" in fact.get("partition", "")]
-
-    old = sweeps[-7]
-    near = old[(np.linalg.norm(old - among_pillars.observation.state.position, axis=1) < 8.0) & (old[:, 2] > 0.5)]
-    gone = left_out(near[:: max(len(near) // 200, 1)])
-    world = among_pillars.world
-    assert len(gone) > 5
-    assert np.median(world.distance(np.array(gone))) > 0.2, "nothing stands there any more"
-    assert len(left_out(sweeps[-1][::100])) == 0
+def test_a_point_that_is_too_near_says_that_the_partition_leaves_it_out(frame):
+    offset = np.asarray(frame.observation.points) - frame.observation.state.position
+    distance = np.linalg.norm(offset, axis=1)
+    is_near = (distance > distance.min()) & (distance < distance.min() + 1.0)
+    config = frame.config.replace({"partition.range_min": float(min(distance.min() + 1.0, 5.0))})
+    open_cells = dataclasses.replace(frame.plan, fine_range=np.full_like(frame.plan.fine_range, 10.0))
+    strict = dataclasses.replace(frame, config=config, plan=open_cells)
+    points = frame.observation.points[is_near][::20].astype(np.float64)
+    partition = [dict(describe_point(strict, point)).get("partition") for point in points]
+    assert "left out: nearer than partition.range_min" in partition
+    assert not any("partition" in dict(describe_point(frame, point)) for point in points)
 
 
 def test_a_click_behind_everything_picks_a_point_or_nothing(frame):

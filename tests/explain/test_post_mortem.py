@@ -138,7 +138,7 @@ def test_an_obstacle_that_comes_out_from_behind_another_was_occluded():
     content = {"name": "test", "start": [0, 0, 2], "goal": [25, 0, 2], "cylinders": pillar, "motion": motion}
     world = World.from_dict({**content, "boxes": [GROUND, [8.0, -5.8, 4, 0.2, 10, 8, 0]]})
     config = OPEN_ABOVE.replace(
-        {"partition.predict": False, "candidates.prove_stop": "off", "candidates.prefer_safe": False}
+        {"moving_obstacles.predict": False, "stop_proof.prove_stop": False, "candidates.prefer_safe": False}
     )
     _, trace, report, _ = flown(world, config=config)
     assert report.outcome == "collision" and report.obstacle == "cylinder 0"

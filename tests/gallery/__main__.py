@@ -115,7 +115,7 @@ VIEWS = {
     "layers": View("Cells of the partition, anchors and guides, with their legend", act=_legend,
                    layers=["coarse_cells", "fine_cells", "anchors", "guides", "drone"]),
     "hidden": View("What is measured and continued, and what is hidden behind it", act=_legend,
-                   layers=["fine_cells", "hidden_space", "rollouts", "drone", "ground"]),
+                   layers=["fine_cells", "occluded_space", "rollouts", "drone", "ground"]),
     "curves": View("Curves of every tick with the events of the flight", seconds=0.2, act=_curves),
     "why": View("Why an instance lost: terms by step, samples and controls", act=_explain),
     "tune": View("Parameters with search, presets and what differs from them", act=_tab("Tune")),

@@ -216,7 +216,7 @@ def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, m
     monkeypatch.setattr("aero_planner.planner.allocate", out_of_memory)
     session.configure({"sampling.samples": 2000})
     assert session.config == good
-    assert run(session, 2)[-1].plan.stage1_cost.shape == (17, 16)
+    assert run(session, 2)[-1].plan.stage1_cost.shape == (16, 16)
     assert session.undo() == session.config == small_config()
 
 
@@ -270,7 +270,7 @@ def test_frames_include_samples_on_request(live: Session):
     assert live.frame is not None and live.frame.plan.samples is None
     live.set_samples(True).result()
     assert live.frame.plan.samples is not None
-    assert live.frame.plan.samples.shape == (17, 16, 26, 3)
+    assert live.frame.plan.samples.shape == (16, 16, 26, 3)
 
 
 def test_a_new_source_starts_from_its_beginning(live: Session):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from aero_viz.dashboard.layers.alternative import AlternativeLayer
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
 from aero_viz.dashboard.layers.base import (
@@ -24,7 +26,8 @@ from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
 from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, RecordedPathLayer, RecordedPlanLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
-from aero_viz.dashboard.layers.sight import HiddenSpaceLayer
+from aero_viz.dashboard.layers.sight import OccludedSpaceLayer
+from aero_viz.errors import UserError
 
 __all__ = [
     "LAYERS",
@@ -37,6 +40,7 @@ __all__ = [
     "Layer",
     "Option",
     "apply",
+    "known_names",
     "legend_entries",
 ]
 
@@ -49,7 +53,7 @@ LAYERS: tuple[type[Layer], ...] = (
     CloudLayer,
     FineCellLayer,
     UnseenCellLayer,
-    HiddenSpaceLayer,
+    OccludedSpaceLayer,
     CoarseCellLayer,
     MotionLayer,
     DroneLayer,
@@ -64,3 +68,18 @@ LAYERS: tuple[type[Layer], ...] = (
 )
 LIVE_PLAN = ("rollouts", "guides", "anchors")
 """Names of the layers of the live plan, which are hidden at first where a recorded one is shown."""
+_RENAMED = {"hidden_space": "occluded_space"}
+"""Current name of each renamed layer, whose old name is accepted for one release."""
+
+
+def known_names(names: Sequence[str], layers: Mapping[str, Layer]) -> list[str]:
+    """Return the current names of layers.
+
+    Raises:
+        UserError: there is no such layer; lists them.
+    """
+    current = [_RENAMED.get(name, name) for name in names]
+    for name in current:
+        if name not in layers:
+            raise UserError(f"There is no layer {name!r}; the layers are {', '.join(layers)}.")
+    return current

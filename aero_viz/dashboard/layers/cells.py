@@ -210,8 +210,8 @@ def is_ground_known(frame: Frame) -> bool:
 def is_in_view(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells whose centre the sensor can see now, row by row, shape [rows * columns, 1]."""
     _, elevation = _centers(frame.plan.fine_range.shape)
-    part = frame.config.partition
-    return ((elevation >= np.radians(part.view_min)) & (elevation <= np.radians(part.view_max)))[:, None]
+    view = frame.config.unseen_space
+    return ((elevation >= np.radians(view.view_min)) & (elevation <= np.radians(view.view_max)))[:, None]
 
 
 def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:

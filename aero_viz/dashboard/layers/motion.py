@@ -1,4 +1,4 @@
-"""Obstacles that the planner tracks as moving."""
+"""Dynamic obstacles: those that the planner tracks and predicts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_planner.stages.moving_obstacles.tracks import GROWTH
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines
 from aero_viz.session.frame import Frame
@@ -17,10 +18,10 @@ _ANGLE = 2.0 * np.pi * np.arange(33) / 32
 
 
 class MotionLayer(Layer):
-    """A ring around each moving obstacle at the height of the drone, and where it will be at the end of the plan."""
+    """A ring around each dynamic obstacle at the height of the drone, and where it will be at the end of the plan."""
 
-    name, title = "motion", "Moving obstacles"
-    keys = (ColorKey("moving obstacles, predicted", palette.MOVING),)
+    name, title = "motion", "Dynamic obstacles"
+    keys = (ColorKey("dynamic obstacles, predicted", palette.MOVING),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/motion/lines", thickness=2.0, capacity=512)
@@ -41,7 +42,7 @@ def _rings(frame: Frame) -> NDArray[np.float32]:
     circle = np.stack((np.cos(_ANGLE), np.sin(_ANGLE)), axis=-1)
     rings = []
     for time in (0.0, config.horizon):
-        radii = moving.radii + time * config.partition.predict_growth
+        radii = moving.radii + time * float(GROWTH)
         rings.append((moving.positions + time * moving.velocities)[:, None] + radii[:, None, None] * circle)
     ways = np.stack((moving.positions, moving.positions + config.horizon * moving.velocities), axis=1)
     segments = [np.stack((ring[:, :-1], ring[:, 1:]), axis=2).reshape(-1, 2, 2) for ring in rings]

@@ -87,7 +87,7 @@ class RolloutLayer(Layer):
             Bar(
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
-                f"{plan.collision_cost[i]:.4g} + speed limit and blocked path {others[i]:.4g}; "
+                f"{plan.collision_cost[i]:.4g} + other terms {others[i]:.4g}; "
                 f"clearance {clearance[i]:.2f} m{_origin(frame, i)}",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,

@@ -1,4 +1,4 @@
-"""Layer of the view at the height of the drone: space that is hidden behind surfaces, and space assumed to be free."""
+"""Layer of the view at the height of the drone: space occluded by surfaces, and space assumed to be free."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from aero_planner.kernels.stops import ALWAYS_SEEN
+from aero_planner.stages.stop_proof.stops import ALWAYS_SEEN
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer
 from aero_viz.dashboard.layers.cells import cells_of, is_unseen
@@ -21,54 +21,41 @@ _MIDDLES = _BORDERS[1:] + _BORDERS[:-1]
 _FACES = (4 * np.arange(_SECTORS)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3).astype(np.uint32)
 
 
-class HiddenSpaceLayer(Layer):
+class OccludedSpaceLayer(Layer):
     """A horizontal cut at the height of the drone, up to the maximum range.
 
-    Space behind the nearest point of a cell is hidden, whether the point was measured or continued: a proven stop may
+    Space behind the nearest point of a cell is occluded, whether the point was measured or continued: a backup stop may
     not lie there. Space in unseen cells is assumed to be free, up to a continued surface.
     """
 
-    name, title, on_by_default = "hidden_space", "Hidden space", False
+    name, title, on_by_default = "occluded_space", "Occluded space", False
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._drone = scene.add_frame("/hidden_space/drone", show_axes=False)
-        self.hidden, self.assumed = (
+        self._drone = scene.add_frame("/occluded_space/drone", show_axes=False)
+        self.occluded, self.assumed = (
             scene.add_mesh_simple(
-                f"/hidden_space/drone/{name}", np.zeros((4 * _SECTORS, 3), np.float32), _FACES, color=color,
+                f"/occluded_space/drone/{name}", np.zeros((4 * _SECTORS, 3), np.float32), _FACES, color=color,
                 opacity=opacity, side="double", flat_shading=True, cast_shadow=False, receive_shadow=False,
             )
-            for name, color, opacity in (("hidden", palette.HIDDEN, 0.5), ("assumed", palette.UNSEEN, 0.35))
+            for name, color, opacity in (("occluded", palette.OCCLUDED, 0.5), ("assumed", palette.UNSEEN, 0.35))
         )  # fmt: skip
 
     def update(self, frame: Frame) -> list[Change]:
         state, reach = frame.observation.state, frame.config.farthest_range
         cells = cells_of(_MIDDLES, state.quaternion, frame.plan.fine_range.shape)
-        seen = np.maximum(seen_ranges(frame).ravel()[cells], _NEAREST)
+        seen = np.maximum(frame.plan.fine_range.ravel()[cells], _NEAREST)
         assumed = np.where(is_unseen(frame)[cells, 0], seen, _NEAREST)
         return [
             (self._drone, "position", np.asarray(state.position)),
-            (self.hidden, "vertices", _rings(seen, np.full(_SECTORS, reach))),
+            (self.occluded, "vertices", _rings(seen, np.full(_SECTORS, reach))),
             (self.assumed, "vertices", _rings(np.full(_SECTORS, _NEAREST), assumed)),
         ]
 
     def legend(self, frame: Frame) -> list[ColorKey]:
-        candidates = frame.config.candidates
-        is_avoided = candidates.stop_seen and candidates.prove_stop != "off"
-        rule = "no proven stop lies there" if is_avoided else "behind what is seen"
-        return [ColorKey(f"hidden: {rule}", palette.HIDDEN), ColorKey("not seen: assumed free", palette.UNSEEN)]
-
-
-def seen_ranges(frame: Frame) -> NDArray[np.float32]:
-    """Return the range up to which the planner takes each fine cell for seen [m], shape [rows, columns], body frame.
-
-    With candidates.stop_seen_closing, holes of one cell are closed, as `aero_planner.kernels.stops.seen_range` does.
-    """
-    fine = frame.plan.fine_range
-    if not frame.config.candidates.stop_seen_closing:
-        return fine
-    beside = np.maximum(np.roll(fine, 1, axis=1), np.roll(fine, -1, axis=1))
-    padded = np.pad(fine, ((1, 1), (0, 0)), mode="edge")
-    return np.minimum(fine, np.minimum(beside, np.maximum(padded[:-2], padded[2:])))
+        config = frame.config
+        is_avoided = "stop_proof" in config.stages.names and config.stop_proof.prove_stop
+        rule = "no backup stop lies there" if is_avoided else "behind what is seen"
+        return [ColorKey(f"occluded: {rule}", palette.OCCLUDED), ColorKey("not seen: assumed free", palette.UNSEEN)]
 
 
 def _rings(inner: NDArray[np.floating], outer: NDArray[np.floating]) -> NDArray[np.float32]:

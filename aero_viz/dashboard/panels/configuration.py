@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import shlex
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -250,7 +251,8 @@ def differences(config: PlannerConfig, baseline: Baseline) -> str:
 def _flags(config: PlannerConfig, start: Baseline) -> str:
     base = [] if start.name == "default" else [f"--config {start.name}"]
     changed = start.config.differences(config)
-    return " ".join([*base, *(f"--{path.replace('_', '-')} {new}" for path, (_, new) in changed.items())])
+    changes = [word for path, (_, new) in changed.items() for word in (f"--{path.replace('_', '-')}", str(new))]
+    return shlex.join([*base, *changes])
 
 
 def _copyable(name: str, text: str) -> str:

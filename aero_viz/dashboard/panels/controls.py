@@ -1,4 +1,4 @@
-"""Controls for single parameters: dropdown, checkbox, number, or number with a slider."""
+"""Controls for single parameters: dropdown, checkboxes, number, or number with a slider."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import viser
 
 from aero_planner.config import ParameterInfo, Value
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.panels import markup
 
 ChangeCallback = Callable[[viser.ClientHandle], None]
 """Called with the client after a user has changed the value of a control."""
@@ -44,6 +45,10 @@ class Control(ABC):
     def handles(self) -> Sequence[Any]:
         """The control's elements on the page."""
 
+    def describe(self, value: Value) -> str:
+        """Return a value in few words."""
+        return str(value)
+
     def disturb(self) -> list[Change]:
         """Return the changes that let the page show another number for a moment; none without a number field."""
         return []
@@ -73,6 +78,46 @@ class _SingleControl(Control):
 
     def on_change(self, callback: ChangeCallback) -> None:
         _on_user_change(self._handle, callback)
+
+
+class ItemsControl(Control):
+    """A checkbox for each of the names that a text may list.
+
+    Args:
+        gui: where to add it.
+        info: the parameter.
+        value: first value.
+    """
+
+    def __init__(self, gui: viser.GuiApi, info: ParameterInfo, value: str) -> None:
+        super().__init__(info)
+        self._heading = gui.add_html(markup.block(markup.heading(info.title)))
+        listed = value.split(", ")
+        self.boxes = {
+            name: gui.add_checkbox(name.replace("_", " ").capitalize(), name in listed, hint=_hint(info))
+            for name in info.items
+        }
+        """The checkboxes by the names."""
+
+    @property
+    def value(self) -> Value:
+        return ", ".join(name for name, box in self.boxes.items() if box.value)
+
+    def show(self, value: Value) -> list[Change]:
+        listed = str(value).split(", ")
+        return [(box, "value", name in listed) for name, box in self.boxes.items() if box.value != (name in listed)]
+
+    @property
+    def handles(self) -> Sequence[Any]:
+        return (self._heading, *self.boxes.values())
+
+    def describe(self, value: Value) -> str:
+        listed = str(value).split(", ") if value else []
+        return {0: "none", len(self.boxes): "all"}.get(len(listed), str(value).replace("_", " "))
+
+    def on_change(self, callback: ChangeCallback) -> None:
+        for box in self.boxes.values():
+            _on_user_change(box, callback)
 
 
 class SliderControl(Control):
@@ -154,6 +199,10 @@ def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
     hint = _hint(info)
     if info.choices:
         return _SingleControl(info, gui.add_dropdown(info.title, info.choices, initial_value=value, hint=hint))
+    if info.items:
+        return ItemsControl(gui, info, value)
+    if isinstance(info.default, str):
+        return _SingleControl(info, gui.add_text(info.title, value, hint=hint))
     if isinstance(info.default, bool):
         return _SingleControl(info, gui.add_checkbox(info.title, bool(value), hint=hint))
     if isinstance(info.default, int):
@@ -179,7 +228,7 @@ def _on_user_change(handle: Any, callback: ChangeCallback) -> None:
 
 def _hint(info: ParameterInfo) -> str:
     unit = f" {info.unit}" if info.unit else ""
-    bounds = "" if info.choices or isinstance(info.default, bool) else f" From {info.range}."
+    bounds = f" From {info.range}." if info.is_number else ""
     return f"{info.path}: {info.help}{bounds} Default {info.default}{unit}."
 
 

@@ -68,7 +68,7 @@ class ParameterRow:
         changes: list[Change] = [
             (self._mark, "content", content),
             (self._mark, "visible", visible and bool(content)),
-            (self._reset, "label", f"was {preset}"),
+            (self._reset, "label", f"was {self.control.describe(preset)}"),
             (self._reset, "visible", visible and differs),
         ]
         if visible != self._is_visible:

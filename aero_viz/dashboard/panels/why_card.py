@@ -8,37 +8,39 @@ import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner import registry
+from aero_planner.cost_terms import CostTerms
+from aero_planner.models.vehicle_model import VehicleModel
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 from aero_viz.dashboard.panels import markup
 from aero_viz.explain.evidence import Evidence
-from aero_viz.explain.terms import STAGE1, STAGE2
 from aero_viz.explain.verdict import closest, verdict
 
 Array = NDArray[np.float64]
 _TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :3]).astype(np.uint8))
-_COLORS: dict[str, Rgb] = dict(
-    zip(STAGE1, [_TAB20[i] for i in (10, 11, 14, 15, 0, 1, 4, 5, 6, 8, 2, 12, 16)], strict=True)
-)
+_COLORS: list[Rgb] = [_TAB20[i] for i in (0, 4, 5, 6, 8, 16, 2, 12, 1, 18, 3, 9, 17, 7, 19, 13, 10, 11, 14, 15)]
+"""Colours of the terms of S2, in their order; those of terms beyond the last colour begin again."""
 _WIDTH, _HEIGHT = 290, 40
-_CONTROLS = (("thrust", "N"), ("roll rate", "rad/s"), ("pitch rate", "rad/s"), ("yaw rate", "rad/s"))
 
 
 def chart(evidence: Evidence, selected: int | None) -> str:
     """Return a column for each instance: the terms by which its S2 exceeds the smallest value of each term."""
-    terms, plan = evidence.terms.sum(axis=2), evidence.plan
+    costs, plan = evidence.stage2, evidence.plan
+    names, terms = [term.label for term in costs.terms], costs.values.sum(axis=2, dtype=np.float64).T
+    colors = [_COLORS[i % len(_COLORS)] for i in range(len(names))]
     excess = terms - terms.min(axis=1, keepdims=True)
     total = excess.sum(axis=0)
     height = np.log1p(total) / max(float(np.log1p(total).max()), 1e-9)
     columns = numbers = ""
     for m, kind in enumerate(plan.kinds):
         parts = "".join(
-            f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(_COLORS[name])}"></div>'
-            for name, part in zip(STAGE2, excess[:, m], strict=True)
+            f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(color)}"></div>'
+            for color, part in zip(colors, excess[:, m], strict=True)
             if part > 0.0
         )
         label = f"{m} {kind}: S2 {plan.stage2_cost[m]:.4g}, " + ", ".join(
-            f"{name} {value:.4g}" for name, value in zip(STAGE2, terms[:, m], strict=True) if value > 0.0
+            f"{name} {value:.4g}" for name, value in zip(names, terms[:, m], strict=True) if value
         )
         mark = palette.SELECTED if m == selected else palette.CHOSEN if m == plan.best else None
         outline = "" if mark is None else f";outline:2px solid {css(mark)}"
@@ -49,19 +51,19 @@ def chart(evidence: Evidence, selected: int | None) -> str:
         )
         style = f"color:{css(palette.SELECTED)};font-weight:700" if m == selected else ""
         numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{m}</div>'
-    shown = [name for name, row in zip(STAGE2, excess, strict=True) if row.max() > 0.0]
+    shown = [(name, color) for name, color, row in zip(names, colors, excess, strict=True) if row.max() > 0.0]
     heading = markup.heading("S2 above the least of each term, log.: shorter is better", "faint: unsafe")
     bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0 0">{columns}</div>'
     bars += f'<div style="display:flex;gap:3px;font-size:9px;margin-bottom:4px">{numbers}</div>'
-    return heading + bars + markup.key([(name, _COLORS[name]) for name in shown])
+    return heading + bars + markup.key(shown)
 
 
 def card(evidence: Evidence, instance: int) -> str:
     """Return the card of an instance."""
-    stage1, plan, config = evidence.stage1(instance), evidence.plan, evidence.frame.config
-    first, second = stage1.terms[:, stage1.best], evidence.terms[:, instance]
+    plan, config = evidence.plan, evidence.frame.config
+    first, second = evidence.stage1.values[instance], evidence.stage2.values[instance]
     distance, time, name = closest(evidence, instance)
-    weights, asked = np.sort(stage1.weights)[::-1], evidence.safety.safe_clearance
+    weights, asked = np.sort(evidence.weights[instance])[::-1], evidence.safety.demanded_clearance
     kind = plan.kinds[instance]
     sentence = f'<div class="aero-verdict" style="font-weight:600">{markup.text(verdict(evidence, instance))}</div>'
     rest = "" if evidence.is_exact else markup.note("Planned again with small differences: another device.")
@@ -70,7 +72,7 @@ def card(evidence: Evidence, instance: int) -> str:
             f'<div style="margin:6px 0 4px">{markup.pill(f"instance {instance}: {kind}", palette.SELECTED)}</div>',
             sentence,
             rest,
-            _table(first, second),
+            _table(evidence, instance),
             _plot("S1 of its best sample over the steps", [first.sum(axis=0)], is_log=True),
             _plot("S2 over the steps", [second.sum(axis=0)], is_log=True),
             _plot(
@@ -80,26 +82,34 @@ def card(evidence: Evidence, instance: int) -> str:
                 bounds=(asked, config.costs.distance_max),
                 low=0.0,
             ),
-            markup.heading("effective samples", f"{stage1.effective_samples:.1f} of {len(weights)}"),
+            markup.heading("effective samples", f"{evidence.effective_samples(instance):.1f} of {len(weights)}"),
             _weights(weights),
             *_controls(evidence, instance),
         )
     )
 
 
-def _table(first: Array, second: Array) -> str:
+def _table(evidence: Evidence, instance: int) -> str:
     """Return S1 of the best sample and S2 by term."""
+    sums = [_sums(costs, instance) for costs in (evidence.stage1, evidence.stage2)]
+    labels = {term.name: term.label for costs in (evidence.stage1, evidence.stage2) for term in costs.terms}
     rows = ""
-    for index, name in enumerate(STAGE1):
-        left, right = first[index].sum(), second[index - 4].sum() if index >= 4 else None
-        if left or right:
-            number = "" if right is None else f"{right:.4g}"
-            rows += f"<div>{markup.muted(name)}</div><div>{left:.4g}</div><div>{number}</div>"
+    for name, label in labels.items():
+        if any(by_term.get(name) for by_term in sums):
+            left, right = (f"{by_term[name]:.4g}" if name in by_term else "" for by_term in sums)
+            rows += f"<div>{markup.muted(label)}</div><div>{left}</div><div>{right}</div>"
+    first, second = (sum(by_term.values()) for by_term in sums)
     return (
         '<div class="aero-term-table" style="display:grid;grid-template-columns:1fr auto auto;gap:1px 12px;'
         f'text-align:right;margin:6px 0"><div></div><div>S1</div><div>S2</div>{rows}'
-        f"<div>all</div><div>{first.sum():.4g}</div><div>{second.sum():.4g}</div></div>"
+        f"<div>all</div><div>{first:.4g}</div><div>{second:.4g}</div></div>"
     )
+
+
+def _sums(costs: CostTerms, row: int) -> dict[str, float]:
+    """Return the terms of a rollout, summed over its steps, by name."""
+    sums = costs.values[row].sum(axis=1, dtype=np.float64)
+    return {term.name: float(value) for term, value in zip(costs.terms, sums, strict=True)}
 
 
 def _weights(weights: Array, most: int = 24) -> str:
@@ -114,13 +124,20 @@ def _weights(weights: Array, most: int = 24) -> str:
 
 
 def _controls(evidence: Evidence, instance: int) -> list[str]:
+    """Return a plot of each control, with its bounds where each has its own."""
     v, controls = evidence.frame.config.vehicle, evidence.plan.controls[instance].astype(np.float64)
-    ends = ((v.thrust_min, v.thrust_max), *[(-v.rate_xy_max, v.rate_xy_max)] * 2, (-v.rate_z_max, v.rate_z_max))
+    model: VehicleModel = registry.load("models", v.model)
+    ends = {"F_t": (v.thrust_min, v.thrust_max)}
+    ends |= dict.fromkeys(("omega_x", "omega_y"), (-v.rate_xy_max, v.rate_xy_max))
+    ends |= dict.fromkeys(("omega_z", "yaw_rate"), (-v.rate_z_max, v.rate_z_max))
     plots = []
-    for axis, ((name, unit), bounds) in enumerate(zip(_CONTROLS, ends, strict=True)):
-        value = controls[:, axis]
+    for value, (name, unit) in zip(controls.T, model.controls, strict=True):
+        label, bounds = f"{name} [{unit}]", ends.get(name)
+        if bounds is None:
+            plots.append(_plot(label, [value]))
+            continue
         at_bound = int(np.count_nonzero((value <= bounds[0] + 1e-3) | (value >= bounds[1] - 1e-3)))
-        label = f"{name} [{unit}] in {bounds[0]:g} .. {bounds[1]:g}" + (f", {at_bound} at a bound" if at_bound else "")
+        label += f" in {bounds[0]:g} .. {bounds[1]:g}" + (f", {at_bound} at a bound" if at_bound else "")
         plots.append(_plot(label, [value], bounds=bounds, low=bounds[0], high=bounds[1]))
     return plots
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, Layer, apply
+from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, Layer, apply, known_names
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
 from aero_viz.dashboard.scripts import run_script
@@ -55,8 +55,11 @@ class SceneRecording:
         self._server = LocalServer(port=0)
         kinds = [_SharedCloudLayer if kind is CloudLayer else kind for kind in LAYERS]
         self._layers: dict[str, Layer] = {kind.name: kind(self._server) for kind in kinds}
-        self._chosen = layers
-        self._check(layers or ())
+        try:
+            self._chosen = None if layers is None else known_names(layers, self._layers)
+        except UserError:
+            self.close()
+            raise
         self.legend = RecordedLegend()
         """Meaning of the colours."""
         self._history = FlightHistory()
@@ -88,12 +91,6 @@ class SceneRecording:
         apply((handle, name, _rounded(value)) for handle, name, value in changes)
         self.legend.add(self._layers.values(), frame)
         self._last = frame
-
-    def _check(self, names: Sequence[str]) -> None:
-        for name in names:
-            if name not in self._layers:
-                self.close()
-                raise UserError(f"There is no layer {name!r}; the layers are {', '.join(self._layers)}.")
 
     def _start(self, frame: Frame, position: NDArray[np.float64]) -> None:
         self._origin, self._started = position, frame.time

@@ -45,7 +45,7 @@ _LEAST_DEVIATION = wp.constant(0.025)
 _SIGNIFICANCE = wp.constant(8.0)
 """Ratio of the speed to its standard deviation, at least: occluded edges make static obstacles creep."""
 
-_GROWTH = wp.constant(0.1)
+GROWTH = wp.constant(0.1)
 """Rate at which the radius of a predicted obstacle grows, since it changes its velocity [m/s]."""
 _AGE_MAX = wp.constant(wp.float64(0.5))
 """Age of the newest sweep up to which its tracks are used [s]; negative while a recorded sweep is not complete."""
@@ -306,7 +306,7 @@ def place_obstacles(
             velocity = tracks.track_velocity[b, i]
             obstacles.dynamic_position[b, i] = tracks.track_position[b, i] + elapsed * velocity
             obstacles.dynamic_velocity[b, i] = velocity
-            obstacles.dynamic_radius[b, i] = tracks.track_radius[b, i] + elapsed * _GROWTH
+            obstacles.dynamic_radius[b, i] = tracks.track_radius[b, i] + elapsed * GROWTH
         obstacles.dynamic_count[b] = tracks.track_count[b]
 
 
@@ -316,6 +316,6 @@ def clear_of_obstacles(d: float, x: wp.vec3, time: float, b: int, views: Any, c:
     for i in range(views.moving_obstacles.dynamic_count[b]):
         position = views.moving_obstacles.dynamic_position[b, i]
         offset = wp.vec2(x[0], x[1]) - position - time * views.moving_obstacles.dynamic_velocity[b, i]
-        gap = wp.length(offset) - views.moving_obstacles.dynamic_radius[b, i] - time * _GROWTH
+        gap = wp.length(offset) - views.moving_obstacles.dynamic_radius[b, i] - time * GROWTH
         d = wp.min(d, wp.max(gap, 0.0))
     return d

@@ -42,7 +42,7 @@ ALWAYS_SEEN = wp.constant(0.5)
 STOPS = wp.constant(6)
 """Stops of a candidate: three that leave it at once, straight ahead and to either side, and three that leave it after a
 quarter, half and all of the horizon."""
-_STOPPED = wp.constant(1.0)
+STOPPED = wp.constant(1.0)
 """Speed below which a braking manoeuvre counts as a stop at its end [m/s]."""
 _WIDEST = wp.constant(0.5)
 """Share of the clearance that is demanded of a stop above which one that is not clear is still worth more than braking
@@ -175,7 +175,7 @@ def roll_out_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             stops.stop_controls[b, i, t] = u
             stops.stop_positions[b, i, t + 1] = p
         # A manoeuvre that has not stopped proves nothing.
-        stops.stop_clearance[b, i] = wp.where(wp.length(v) < _STOPPED, c.safe_clearance, 0.0)
+        stops.stop_clearance[b, i] = wp.where(wp.length(v) < STOPPED, c.safe_clearance, 0.0)
 
     return tuning.set_options(roll_out_stops)
 
