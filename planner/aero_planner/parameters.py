@@ -187,7 +187,7 @@ class SectionedConfig:
     """Base of a configuration that consists of sections: a frozen dataclass whose fields are `ParameterSection`s.
 
     Raises:
-        ValueError: a section is of the wrong type.
+        ValueError: a section is of the wrong type, or a parameter such as `range_min` is not below `range_max`.
     """
 
     noun: ClassVar[str] = "parameter"
@@ -207,6 +207,18 @@ class SectionedConfig:
         for name, section in self.sections().items():
             if not isinstance(getattr(self, name), section):
                 raise ValueError(f"section {name!r} is {getattr(self, name)!r}; it must be a {section.__name__}.")
+        for path_min, path_max in self._limits():
+            low, high = self.get(path_min), self.get(path_max)
+            if low >= high:
+                message = f"{path_min} is {low}; it must be less than {path_max}, which is {high}."
+                raise ContradictionError(message, path_min, path_max)
+
+    @classmethod
+    @functools.cache
+    def _limits(cls) -> tuple[tuple[str, str], ...]:
+        """Return the paths of each pair of parameters such as `range_min` and `range_max`."""
+        pairs = ((path, path[: -len("min")] + "max") for path in cls._by_path() if path.endswith("_min"))
+        return tuple((low, high) for low, high in pairs if high in cls._by_path())
 
     @classmethod
     @functools.cache

@@ -366,7 +366,9 @@ class Planner:
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
         sampled = sampled_positions(self._work, self._sizes, values["positions"]) if samples else None
-        return make_plan(values, self._config, batched=self._batched, stage_ms=stage_ms, samples=sampled)
+        return make_plan(
+            values, self._config, self._composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
+        )
 
     def _write_points(self, points: Points) -> None:
         if not self._cloud.is_current(points):
@@ -401,7 +403,7 @@ class Planner:
         since.
 
         Args:
-            instances: instances, for their Stage II rollouts.
+            instances: instances, for their Stage II rollouts; of one that was replaced, that of its replacement.
             samples: instance and sample of Stage I rollouts, which follow those.
 
         Raises:
@@ -411,10 +413,12 @@ class Planner:
         for m, k in (*((m, 0) for m in instances), *samples):
             if not (0 <= m < M and 0 <= k < K):
                 raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
-        optimised: Any = self._outputs.arrays.controls.numpy()
+        o = self._outputs.arrays
+        optimised, replaced, flown = (array.numpy()[0] for array in (o.controls, o.braking_instance, o.flown))
         sampled: Any = self._work.sample_controls.numpy() if samples else None
-        controls = [optimised[0, m] for m in instances] + [sampled[m, :, :, k] for m, k in samples]
-        rows = [(0, m) for m in (*instances, *(m for m, _ in samples))]
+        flown_rows = [int(flown) if m == replaced else m for m in instances]
+        controls = [optimised[m] for m in flown_rows] + [sampled[m, :, :, k] for m, k in samples]
+        rows = [(0, m) for m in (*flown_rows, *(m for m, _ in samples))]
         recorder = Recorder(
             lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
         )
