@@ -189,6 +189,17 @@ class Planner:
         """Device arrays of intermediate results, for tests and benchmarks; a structural change replaces them."""
         return self._work
 
+    def arrays_of(self, stage: str) -> dict[str, wp.array]:
+        """Return the device arrays of an active stage by name, for tests and benchmarks.
+
+        Raises:
+            ValueError: there is no such stage, or it is not active.
+        """
+        if stage not in self._stages:
+            raise ValueError(f"stage {stage!r} is not active; stages.active lists {', '.join(self._stages) or 'none'}.")
+        groups = [group for group in self._stages[stage] if group is not None]
+        return {name: array for group in groups for name, array in as_dict(group).items()}
+
     @property
     def params(self) -> wp.array:
         """Device array of the live parameters, shape [B]."""
