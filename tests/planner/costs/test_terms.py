@@ -1,3 +1,10 @@
+"""Every cost term against its equation."""
+
+# Postponed annotations are left out: the kernels below refer to local types.
+
+import functools
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
@@ -5,60 +12,116 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aero_planner import PlannerConfig
-from aero_planner.kernels import costs
+from aero_planner.costs import End, Step
+from aero_planner.costs.terms import TERMS, attitude_distance
 from aero_planner.device.params import Params, pack
 from tests.planner import reference
-from tests.planner.cases import random_quaternion
+from tests.planner.cases import exact, random_quaternion
+from tests.planner.reference import Array
 
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def collision_kernel(d: wp.array(dtype=float), params: wp.array(dtype=Params), out: wp.array(dtype=float)):  # type: ignore[valid-type]
-    i = wp.tid()
-    out[i] = costs.collision_cost(d[i], params[0])
+BY_NAME = {term.name: term for term in TERMS}
 
 
-@wp.kernel
-def speed_kernel(v: wp.array(dtype=wp.vec3), params: wp.array(dtype=Params), out: wp.array(dtype=float)):  # type: ignore[valid-type]
-    i = wp.tid()
-    out[i] = costs.speed_cost(v[i], params[0])
+@functools.cache
+def kernel_of(function: Any, struct: Any, *, is_terminal: bool = False) -> Any:
+    """Return the kernel that evaluates a function of a struct, or of a number, and the parameters."""
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def running(values: wp.array(dtype=struct), params: wp.array(dtype=Params), out: wp.array(dtype=float)):
+        i = wp.tid()
+        out[i] = function(values[i], params[0])
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def terminal(values: wp.array(dtype=struct), params: wp.array(dtype=Params), out: wp.array(dtype=float)):
+        i = wp.tid()
+        out[i] = function(values[i], 0, params[0])
+
+    return terminal if is_terminal else running
 
 
-@wp.kernel
-def goal_kernel(
-    p: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
-    v: wp.array(dtype=wp.vec3),  # type: ignore[valid-type]
-    q: wp.array(dtype=wp.vec4),  # type: ignore[valid-type]
-    params: wp.array(dtype=Params),  # type: ignore[valid-type]
-    out: wp.array(dtype=float),  # type: ignore[valid-type]
-):
-    """The goal is the last row: out[i] is the cost of row i."""
-    i, goal = wp.tid(), p.shape[0] - 1
-    out[i] = costs.goal_cost(p[i], v[i], q[i], p[goal], v[goal], q[goal], params[0])
-
-
-@wp.kernel
-def attitude_kernel(q: wp.array(dtype=wp.vec4), q_goal: wp.array(dtype=wp.vec4), out: wp.array(dtype=float)):  # type: ignore[valid-type]
-    i = wp.tid()
-    out[i] = costs.attitude_distance(q[i], q_goal[i])
-
-
-def evaluate(
-    kernel, device: str, *inputs: np.ndarray, dtypes: tuple, config: PlannerConfig | None = None
-) -> np.ndarray:
-    arrays = [wp.array(np.asarray(x, np.float32), dtype=t, device=device) for x, t in zip(inputs, dtypes, strict=True)]
-    if config is not None:
-        params = wp.zeros(1, dtype=Params, device=device)
-        params.assign(pack(config)[None])
-        arrays.append(params)
-    out = wp.zeros(len(inputs[0]), dtype=float, device=device)
-    wp.launch(kernel, dim=len(inputs[0]), inputs=[*arrays, out], device=device)
+def evaluate(kernel: Any, device: str, values: np.ndarray, dtype: Any, config: PlannerConfig) -> np.ndarray:
+    params = wp.array(np.array([pack(config)]), dtype=Params, device=device)
+    out = wp.zeros(len(values), dtype=float, device=device)
+    wp.launch(kernel, len(values), inputs=[wp.array(values, dtype=dtype, device=device), params, out], device=device)
     return out.numpy()
 
 
 def collision(device: str, d: np.ndarray, config: PlannerConfig) -> np.ndarray:
-    return evaluate(collision_kernel, device, d, dtypes=(float,), config=config)
+    return evaluate(kernel_of(BY_NAME["obstacles"].obstacle, float), device, d.astype(np.float32), float, config)
+
+
+def random_steps(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, dict[str, Array]]:
+    """Return the time steps of a random rollout as the terms see them, and as arrays by name."""
+    x = {name: exact(rng.normal(size=(steps, 3)) * 4.0) for name in ("p", "v", "p_guide")}
+    x["q"] = exact([reference.unit(random_quaternion(rng, 3.0)) for _ in range(steps)])
+    x["u"], x["command"] = exact(rng.normal(size=(steps, 4)) * 3.0), exact(rng.normal(size=4))
+    goal = {name: exact(rng.normal(size=3)) for name in ("p_goal", "v_goal")}
+    goal["q_goal"] = exact(reference.unit(random_quaternion(rng, 3.0)))
+    records = np.zeros(steps, dtype=Step.numpy_dtype())
+    records["t"], records["last"], records["is_guided"] = np.arange(steps), steps - 1, 1
+    for name in ("p", "v", "q", "u", "p_guide"):
+        records[name] = x[name]
+    records["u_before"] = np.concatenate((x["command"][None], x["u"][:-1]))
+    for name, value in goal.items():
+        records[name] = value
+    return records, x | goal
+
+
+def random_weights(rng: np.random.Generator) -> PlannerConfig:
+    """Return a configuration in which all weights differ from each other and from 0."""
+    names = [info.path for info in PlannerConfig.parameters() if info.name.startswith("q_")]
+    weights = {name: float(weight) for name, weight in zip(names, rng.permutation(len(names)) + 1.5, strict=True)}
+    return PlannerConfig().replace(weights | {"vehicle.speed_limit": 4.0})
+
+
+@pytest.mark.parametrize("steps", [2, 3, 9])
+def test_running_terms(device: str, steps: int):
+    rng = np.random.default_rng(steps)
+    config = random_weights(rng)
+    records, x = random_steps(rng, steps)
+    expected = {
+        "guide_tracking": reference.J_track(x["p"], x["p_guide"], config),
+        "speed": reference.J_vnorm(x["v"], config),
+        "control_effort": reference.J_effort(x["u"], config),
+        "control_change": reference.J_change(x["u"], config),
+        "goal_position": reference.J_position(x["p"], x["p_goal"], config),
+        "goal_velocity": reference.J_velocity(x["v"], x["v_goal"], config),
+        "goal_attitude": reference.J_attitude(x["q"], x["q_goal"], config),
+        "speed_limit": reference.J_speed(x["v"], config),
+        "control_jump": reference.J_jump(x["u"], x["command"], config),
+    }
+    assert set(expected) == {term.name for term in TERMS if term.running is not None}
+    for name, values in expected.items():
+        found = evaluate(kernel_of(BY_NAME[name].running, Step), device, records, Step, config)
+        np.testing.assert_allclose(found, values, rtol=1e-5, atol=1e-5, err_msg=name)
+        # The last control is free, and with two steps there is no other change.
+        assert values.any() or (name == "control_change" and steps == 2)
+
+
+def test_the_previous_plan_tracks_no_guide(device: str):
+    records, _ = random_steps(np.random.default_rng(0), 5)
+    records["is_guided"] = 0
+    found = evaluate(kernel_of(BY_NAME["guide_tracking"].running, Step), device, records, Step, PlannerConfig())
+    assert not found.any()
+
+
+def test_the_cost_to_go_is_the_blocked_length(device: str):
+    config = PlannerConfig().replace({"costs.q_blocked": 3.0, "anchors.lookahead": 4.0})
+    ends = np.zeros(4, dtype=End.numpy_dtype())
+    ends["p"] = (1.0, 2.0, 3.0)
+    ends["p_goal"] = [(1.0, 2.0, 13.0), (1.0, 5.0, 3.0), (1.0, 5.0, 3.0), (1.0, 2.0, 3.0)]
+    ends["blocked"] = [0.5, 0.5, 0.0, 1.0]
+    found = evaluate(kernel_of(BY_NAME["blocked_path"].terminal, End, is_terminal=True), device, ends, End, config)
+    np.testing.assert_allclose(found, [6.0, 4.5, 0.0, 0.0], rtol=1e-6)
+
+
+def test_terms_belong_to_the_sums_of_the_paper():
+    assert [term.name for term in TERMS if not term.in_stage2] == [
+        "guide_tracking", "speed", "control_effort", "control_change"
+    ]  # fmt: skip
+    assert all(term.in_stage1 for term in TERMS)
+    assert {term.sum for term in TERMS} == {"J_track", "J_vnorm", "J_ctrl", "J_goal", "J_col", ""}
+    assert [term.name for term in TERMS if term.sum == "J_goal"] == ["goal_position", "goal_velocity", "goal_attitude"]
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -66,7 +129,7 @@ def test_collision_cost_over_distance(device: str, preset: str):
     config = PlannerConfig.preset(preset)
     d = np.linspace(0.0, 1.5, 400).astype(np.float32)
     expected = reference.J_col(d.astype(np.float64), config)
-    # (d_max - d) / (d_max - d_min) near d_max cancels to 6e-8 / 0.27 of 1.
+    # (d_max - d) / (d_max - d_min) near d_max cancels to 6e-8 / 0.25 of 1.
     np.testing.assert_allclose(collision(device, d, config), expected, rtol=2e-6, atol=1e-4)
 
 
@@ -85,8 +148,6 @@ def test_quadratic_edges(device: str):
     d_min, d_max = np.float32(config.costs.distance_min), np.float32(config.costs.distance_max)
     edges = [0.0, np.nextafter(d_min, np.float32(0)), d_min, (d_min + d_max) / 2, d_max, 5.0]
     np.testing.assert_allclose(collision(device, np.array(edges), config), [2e5, 1e5, 200, 50, 0, 0], rtol=1e-6)
-    slow = config.replace({"vehicle.speed_limit": 1.4})  # a fifth of soft_speed: five times as many steps in a gap
-    np.testing.assert_allclose(collision(device, np.array(edges), slow), [2e5, 1e5, 40, 10, 0, 0], rtol=1e-6)
 
 
 @settings(max_examples=50, deadline=None)
@@ -100,23 +161,10 @@ def test_collision_cost_never_rises_with_distance(device: str, low: float, width
     assert (np.diff(values) <= 0.0).all() and (values >= 0.0).all()
 
 
-def test_speed_cost(device: str):
-    config = PlannerConfig().replace({"vehicle.speed_limit": 5.0, "vehicle.descent_limit": 2.0, "costs.q_speed": 10.0})
-    v = np.array([[0, 0, 0], [3, 4, 0], [0, 0, 6], [-8, 0, 6], [0, 3, -2], [0, 0, -5], [0, 0, -6]], float)
-    result = evaluate(speed_kernel, device, v, dtypes=(wp.vec3,), config=config)
-    np.testing.assert_allclose(result, [0.0, 0.0, 10.0, 250.0, 0.0, 90.0, 170.0], rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize("q_height", [0.0, 3.0])
-def test_goal_cost_has_a_part_for_the_difference_in_height(device: str, q_height: float):
-    rng, config = np.random.default_rng(5), PlannerConfig().replace({"costs.q_height": q_height})
-    p, v = rng.normal(size=(2, 30, 3)).astype(np.float32) * 5.0
-    q = np.array([reference.unit(random_quaternion(rng, 3.0)) for _ in range(30)])
-    p[0], p[1] = p[-1] + (3.0, 4.0, 0.0), p[-1] - (0.0, 0.0, 2.0)  # level with the goal, and below it
-    rows = (reference.Rollout(*(x[i : i + 1].astype(np.float64) for x in (p, q, v))) for i in range(30))
-    expected = [reference.J_goal(row, p[-1], v[-1], q[-1], config) for row in rows]
-    result = evaluate(goal_kernel, device, p, v, q, dtypes=(wp.vec3, wp.vec3, wp.vec4), config=config)
-    np.testing.assert_allclose(result, expected, rtol=1e-5, atol=1e-4)
+@wp.kernel
+def attitude_kernel(q: wp.array(dtype=wp.vec4), q_goal: wp.array(dtype=wp.vec4), out: wp.array(dtype=float)):
+    i = wp.tid()
+    out[i] = attitude_distance(q[i], q_goal[i])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -128,6 +176,8 @@ def test_attitude_distance_is_the_frobenius_norm(device: str, seed: int):
     q_goal[2] = reference.quat_multiply(q[2], np.array([0.0, 0, 0, 1]))
     R = [[reference.rotation(x) for x in both] for both in zip(q, q_goal, strict=True)]
     expected = [np.linalg.norm(a @ b.T - np.eye(3)) for a, b in R]
-    result = evaluate(attitude_kernel, device, q, q_goal, dtypes=(wp.vec4, wp.vec4))
-    np.testing.assert_allclose(result, expected, atol=2e-6)
+    out = wp.zeros(30, dtype=float, device=device)
+    inputs = [wp.array(x.astype(np.float32), dtype=wp.vec4, device=device) for x in (q, q_goal)]
+    wp.launch(attitude_kernel, 30, inputs=inputs, outputs=[out], device=device)
+    np.testing.assert_allclose(out.numpy(), expected, atol=2e-6)
     np.testing.assert_allclose(expected[:3], [0.0, 0.0, np.sqrt(8.0)], atol=1e-6)

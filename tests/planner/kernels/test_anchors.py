@@ -75,12 +75,13 @@ def test_a_goal_at_the_drone_holds_its_position(device: str):
     case = random_case(3, speed=0.0, count=0, tilt=0.0)
     case.goal = case.position
     case.acceleration = np.zeros(3)
-    plan = case.plan(Planner(config_of(), device=device))
+    still = {f"sampling__variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
+    plan = case.plan(Planner(config_of(**still), device=device))
     np.testing.assert_allclose(plan.initial_endpoints, case.position[None].repeat(16, 0), atol=1e-5)
     np.testing.assert_allclose(plan.anchors, plan.initial_endpoints, atol=1e-5)
     assert all(np.isfinite(array).all() for array in (plan.guides, plan.controls, plan.stage1_cost, plan.positions))
-    # A drone at rest at its goal stays there.
-    assert np.linalg.norm(plan.positions[plan.best] - case.position, axis=1).max() < 0.1
+    # A drone at rest at its goal stays there, but for what is sampled.
+    assert np.linalg.norm(plan.positions[plan.best] - case.position, axis=1).max() < 1e-3
 
 
 def test_a_near_goal_is_the_middle_anchor(device: str):

@@ -123,10 +123,10 @@ def test_stored_sweeps_show_the_same_motion(device: str):
     batch.inputs.quaternion.assign(np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32))
     batch.launch()
     for b in range(2):
-        found, expected = (planner.stage_outputs("moving_obstacles") for planner in (batch, single))
-        assert found.dynamic_count.numpy()[b] == expected.dynamic_count.numpy()[0] == 1
+        found, expected = (planner.arrays_of("moving_obstacles") for planner in (batch, single))
+        assert found["dynamic_count"].numpy()[b] == expected["dynamic_count"].numpy()[0] == 1
         for name in ("dynamic_position", "dynamic_velocity", "dynamic_radius"):
-            np.testing.assert_array_equal(getattr(found, name).numpy()[b, 0], getattr(expected, name).numpy()[0, 0])
+            np.testing.assert_array_equal(found[name].numpy()[b, 0], expected[name].numpy()[0, 0])
         for name in ("occupied", "fine_range"):
             ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
             np.testing.assert_array_equal(ours[b], expected[0])

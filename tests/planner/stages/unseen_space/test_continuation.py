@@ -7,7 +7,7 @@ import pytest
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from tests.planner import reference
-from tests.planner.cases import config_of, kept_points, level_case, random_case
+from tests.planner.cases import Case, config_of, kept_points, level_case, random_case
 
 
 @pytest.mark.parametrize("depth", [0.0, 1.0, 2.0])
@@ -124,11 +124,11 @@ def test_the_attitude_of_the_view_is_the_given_one_of_some_time_ago(device: str,
         attitude = np.array([np.cos(half), 0.0, np.sin(half), 0.0]) * (-1.0) ** tick  # q and -q are the same attitude
         state = VehicleState(case.position, case.velocity, attitude, case.acceleration, time=tick * period)
         planner.plan(state, Goal(case.goal), case.points)
-    w, _, y, _ = planner.history().view_quaternion[0]
+    w, _, y, _ = planner.history().arrays["view_quaternion"][0]
     assert 2.0 * np.arctan2(y, w) % (2.0 * np.pi) == pytest.approx(rate * (1.0 - 0.1), abs=1e-3)
     planner.reset()
     case.plan(planner)
-    np.testing.assert_array_equal(planner.history().view_quaternion[0], case.quaternion)
+    np.testing.assert_array_equal(planner.history().arrays["view_quaternion"][0], case.quaternion)
 
 
 def test_a_wall_that_has_just_come_into_view_continues(device: str):

@@ -33,7 +33,7 @@ def test_a_drone_without_progress_remembers_where_it_was(device: str):
     assert planner.history().arrays["place_count"][0] == 0
 
 
-@pytest.mark.parametrize("radius", [2.0, 4.0])
+@pytest.mark.parametrize("radius", [4.0, 6.0])
 def test_rollouts_that_end_near_places_without_progress_cost_more(device: str, radius: float):
     planner = Planner(config_of(way_out__radius=radius, costs__q_speed=0.0, costs__q_blocked=0.0), device=device)
     case = level_case(3.0)
@@ -44,9 +44,9 @@ def test_rollouts_that_end_near_places_without_progress_cost_more(device: str, r
 
     for k in range(6):
         plan(0.1 * k)
+    last = plan(0.6)
     history = planner.history().arrays
     places = history["places"][0, : history["place_count"][0]].astype(np.float64)
-    last = plan(0.6)
     ends = last.positions[:, -1].astype(np.float64)
     expected = [reference.J_escape(p, places, case.goal, planner.config) for p in ends]
     np.testing.assert_allclose(last.stage2_cost - last.goal_cost, expected, rtol=1e-4, atol=0.02)
@@ -55,19 +55,19 @@ def test_rollouts_that_end_near_places_without_progress_cost_more(device: str, r
 
 @pytest.mark.parametrize("aside", [0.0, 1.0])
 def test_a_drone_that_has_passed_its_goal_comes_back(device: str, aside: float):
-    """It makes no progress meanwhile, and must not keep away from the places of its way back."""
+    """It makes no progress meanwhile, and must not keep away from the places of its way back. Then it stays."""
     config = config_of(vehicle__speed_limit=5.0, sampling__samples=64, sampling__steps=25)
     planner, goal, dt = Planner(config, device=device, seed=1), np.array([1.5, 0.0, 3.0]), config.sampling.dt
     position, velocity, attitude = np.array([0.0, aside, 3.0]), np.array([5.0, 0.0, 0.0]), np.array([1.0, 0, 0, 0])
     distances = []
-    for k in range(150):
+    for k in range(300):
         plan = planner.plan(
             VehicleState(position, velocity, attitude, time=k * dt), Goal(goal), np.full((64, 3), 40.0, np.float32)
         )
         x = reference.roll_out(position, attitude, velocity, plan.command[:1].astype(np.float64), config)
         position, velocity, attitude = x.p[-1], x.v[-1], x.q[-1]
         distances.append(np.linalg.norm(position - goal))
-    assert max(distances) > 1.0 and max(distances[-20:]) < 0.3
+    assert max(distances) > 1.0 and max(distances[-100:]) < 0.4
 
 
 def test_slow_drones_spread_their_anchors(device: str):
@@ -109,11 +109,10 @@ def test_guides_of_a_slow_drone_that_is_stuck_end_before_what_is_seen(
     full = reference.lookahead(float(np.linalg.norm(case.goal - case.position)), config)
     were_stuck, lengths = [], np.zeros(15)
     for k in range(14):
-        # All remembered places are where the drone is.
-        count = planner.history().arrays.get("place_count", np.zeros(1))[0]
-        were_stuck.append(k > 0 and count > 0 and gets_stuck)
         state = VehicleState(case.position, case.velocity, case.quaternion, time=0.1 * k)
         plan = planner.plan(state, Goal(case.goal), points)
+        count = planner.history().arrays.get("place_count", np.zeros(1))[0]
+        were_stuck.append(count > 0 and gets_stuck)
         offsets = plan.anchors[:15].astype(np.float64) - case.position
         in_body = offsets @ reference.rotation(reference.unit(case.quaternion))
         rows, columns, border = reference.cell_indices(in_body, *plan.fine_range.shape)
