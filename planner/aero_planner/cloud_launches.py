@@ -17,6 +17,12 @@ def stamp_sweep(r: Recorder) -> Callable[[], Any]:
     return r.record(sweep_change.stamp_sweep, (r.sizes.B,), inputs=[r.change, r.problem], outputs=[r.sweeps])
 
 
+def thin_sweep(r: Recorder) -> Callable[[], Any]:
+    """Remove most points of the sweep that is thinned."""
+    inputs, size = [r.threads_per_sweep, r.change], (r.sizes.B, r.threads_per_sweep)
+    return r.record(shells.thin_sweep, size, inputs=inputs, outputs=[r.sweeps])
+
+
 def order_points(r: Recorder) -> list[Callable[[], Any]]:
     """Order the points of the sweeps that change by distance."""
     B, threads = r.sizes.B, r.threads_per_sweep

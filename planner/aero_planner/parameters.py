@@ -183,8 +183,8 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters; other fields are left
-    alone. The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters, others are left alone.
+    The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:
         ValueError: a parameter has the wrong type or is out of bounds; names parameter, value and range.
@@ -216,7 +216,7 @@ class SectionedConfig:
     """Base of a configuration that consists of sections: a frozen dataclass whose fields are `ParameterSection`s.
 
     Raises:
-        ValueError: a section is of the wrong type.
+        ValueError: a section is of the wrong type, or a parameter such as `range_min` is not below `range_max`.
     """
 
     noun: ClassVar[str] = "parameter"
@@ -238,6 +238,18 @@ class SectionedConfig:
         for name, section in self.sections().items():
             if not isinstance(getattr(self, name), section):
                 raise ValueError(f"section {name!r} is {getattr(self, name)!r}; it must be a {section.__name__}.")
+        for path_min, path_max in self._limits():
+            low, high = self.get(path_min), self.get(path_max)
+            if low >= high:
+                message = f"{path_min} is {low}; it must be less than {path_max}, which is {high}."
+                raise ContradictionError(message, path_min, path_max)
+
+    @classmethod
+    @functools.cache
+    def _limits(cls) -> tuple[tuple[str, str], ...]:
+        """Return the paths of each pair of parameters such as `range_min` and `range_max`."""
+        pairs = ((path, path[: -len("min")] + "max") for path in cls._by_path() if path.endswith("_min"))
+        return tuple((low, high) for low, high in pairs if high in cls._by_path())
 
     @classmethod
     @functools.cache

@@ -17,6 +17,7 @@ from aero_planner.cloud_launches import (
     pool_coarse_cells,
     scan_points,
     stamp_sweep,
+    thin_sweep,
 )
 from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
@@ -98,12 +99,12 @@ class _Stages:
         s.stages[RESET] = [self._serial("reset", reset_keys, w.worker_dropped.zero_)]
         if r.change is not None:
             arrive = [stamp_sweep(r), *self._flat("arrival")]
-            change, order = self._flat("cloud"), order_points(r)
-            s.stages[ARRIVAL] = [self._serial(ARRIVAL, *arrive, *change, *order)]
+            thin, order = thin_sweep(r), order_points(r)
+            s.stages[ARRIVAL] = [self._serial(ARRIVAL, *arrive, thin, *order)]
             s.stages[PLAN_AND_ARRIVAL] = [
                 self._serial("beside", *self._branch("beside", *arrive, *beside)),
                 predict,
-                self._serial("partition", *change),
+                self._serial("partition", thin),
                 scan,
                 place_anchors,
                 self._serial("order", *self._branch("order", *order)),  # this plan reads without order

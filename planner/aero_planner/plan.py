@@ -25,7 +25,7 @@ class VehicleState:
         time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
             `sampling.replan_period` after the previous state.
         disturbance: acceleration that neither thrust nor gravity explains [m/s^2], shape [3]; None means that the
-            planner estimates it from the acceleration. Drag is a part of it, see `vehicle.drag_time`.
+            planner estimates it from the acceleration. Drag is a part of it, see `disturbance.drag_time`.
     """
 
     position: ArrayLike
@@ -56,11 +56,10 @@ class PlanStatus(enum.IntEnum):
     """Safety of a plan; `controls[best]` may be flown in any case."""
 
     OK = 0
-    """The best candidate is safe: it keeps its clearance over the whole horizon, and a clear stop remains if
-    candidates.prove_stop asks for one. With "instead", that stop is enough: beyond it the candidate may come close."""
+    """The best candidate is admissible: it keeps its clearance over the whole horizon or, with a stop proof, as far as
+    the first of its stops that is clear."""
     NO_SAFE_CANDIDATE = 1
-    """No candidate is safe; `controls[best]` is a braking sequence, or the stop that was proven last. With "instead",
-    where none of these is clear of static obstacles, it may be the candidate whose stop keeps the largest clearance."""
+    """No candidate is admissible; `controls[best]` is a braking sequence, or the stop that was proven last."""
     STALE_CLOUD = 2
     """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
 
@@ -88,11 +87,6 @@ class MovingObstacles:
     radii: Array
     """When the plan takes effect [m], shape [n]. They grow by 0.1 m/s."""
 
-    @classmethod
-    def none(cls) -> MovingObstacles:
-        """Return no obstacles."""
-        return cls(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32), np.zeros(0, np.float32))
-
 
 def _none() -> None:
     """Return the default of a field that `Plan.with_lazy_arrays` may make: a plain default would hide that one."""
@@ -111,7 +105,7 @@ class Plan:
     default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
     continued_cells: NDArray[np.bool_] | None
     """True for each fine cell whose range is that of a continued surface, which was not measured, shape [80, 160], body
-    frame; see partition.continue_below. None in plans of a drone with an older version."""
+    frame; None if no stage continues surfaces, and in plans of a drone with an older version."""
     safe_range: Array
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array
@@ -128,10 +122,12 @@ class Plan:
     guides: Array
     """Guides at t = 0, dt, .., T [m], shape [M, N+1, 3], world frame."""
     kinds: tuple[str, ...]
-    """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
+    """"anchor" for the first M_h M_v instances, then "previous" where configured, length M; "brake" for the best one if
+    a candidate that stops has replaced it."""
     controls: Array
-    """Optimised thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]. While a proven stop is flown, its first
-    control is the mean until the next plan, and its rollout has that over the time step."""
+    """Optimised controls of the vehicle model, by default thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4].
+    While a proven stop is flown, its first control is the mean until the next plan, and its rollout has that over the
+    time step."""
     positions: Array
     """Positions of the Stage II rollouts [m], shape [M, N+1, 3], world frame."""
     velocities: Array
@@ -147,7 +143,7 @@ class Plan:
     collision_cost: Array
     """J_col of every instance, shape [M]."""
     clearance: Array
-    """Distance to the nearest filtered point or moving obstacle after each control, at most d_max [m], shape [M, N]."""
+    """Distance to the nearest filtered point or dynamic obstacle after each control, at most d_max [m], shape [M, N]."""
     best: int | NDArray[np.int32]
     """Index of the instance to fly: `controls[best]`."""
     status: PlanStatus | NDArray[np.int32]
@@ -155,9 +151,9 @@ class Plan:
     """Number of points that were not finite."""
     disturbance: Array | None = None
     """Acceleration besides thrust, gravity and drag that the plan counts on [m/s^2], shape [3], world frame; see
-    vehicle.disturbance_time. None in plans of a drone with an older version."""
+    disturbance.disturbance_time. None in plans of a drone with an older version."""
     drag: float | NDArray[np.float32] | None = None
-    """Deceleration per velocity that the plan counts on [1/s], see vehicle.drag_time. None as above."""
+    """Deceleration per velocity that the plan counts on [1/s], see disturbance.drag_time. None as above."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
     samples: Array | None = None
@@ -165,7 +161,8 @@ class Plan:
     braking: BrakingCandidates | None = field(default_factory=_none)
     """None in plans that a drone has sent."""
     moving: MovingObstacles | None = field(default_factory=_none)
-    """Obstacles that were found to move; None with a batch, and in plans that a drone has sent."""
+    """Obstacles that were found to move; None if no stage looks for them, with a batch, and in plans that a drone has
+    sent."""
 
     @classmethod
     def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from aero_planner.arrays import Sizes, Workspace
 from aero_planner.config import PlannerConfig
 from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
 from aero_planner.kernels.guides import BRAKING_FAN
-from aero_planner.plan import BrakingCandidates, MovingObstacles, Plan, PlanStatus
+from aero_planner.plan import BrakingCandidates, Plan, PlanStatus
+from aero_planner.stage import Stage
 
 _PER_INSTANCE = frozenset({
     "initial_endpoints", "anchors", "guide_coefficients", "guides", "controls", "positions", "velocities",
@@ -21,17 +23,14 @@ _PER_INSTANCE = frozenset({
 _OF_GUIDES = frozenset({"anchors", "guide_coefficients", "guides"})
 """Arrays in which a plan shows those of what is flown in the place of the instance that it has replaced."""
 _ARRAYS = _PER_INSTANCE | {
-    "fine_range", "continued_cells", "safe_range", "safe_direction", "filtered_points", "stage1_cost",
+    "fine_range", "safe_range", "safe_direction", "filtered_points", "stage1_cost",
 }  # fmt: skip
-_SOURCES = {"continued_cells": "occupied"}
-"""Names of the values from which arrays of another name are made."""
-_CONTINUED = 2
-"""Value of `occupied` where a surface is continued into the cell."""
 
 
 def make_plan(
     values: NDArray[Any],
     config: PlannerConfig,
+    stages: Sequence[Stage],
     *,
     batched: bool,
     stage_ms: dict[str, float],
@@ -42,11 +41,12 @@ def make_plan(
     Args:
         values: record of the arrays by name, which the plan keeps.
         config: configuration of the planner.
+        stages: active stages, each of which makes its part of the plan.
         batched: True to keep the leading axis of drones.
         stage_ms: time of each stage [ms].
         samples: positions of the Stage I rollouts [m], shape [B, M, K, N + 1, 3], or None.
     """
-    arrays = _PlanArrays(values, config, batched)
+    arrays = _PlanArrays(values, config, stages, batched)
     best, status, dropped_points = values["best"], values["status"], values["dropped_points"]
     return Plan.with_lazy_arrays(
         arrays,
@@ -78,8 +78,9 @@ def sampled_positions(work: Workspace, sizes: Sizes, positions: NDArray[np.float
 class _PlanArrays:
     """Makes the arrays of a plan, each when it is first read: most readers need few of them."""
 
-    def __init__(self, values: NDArray[Any], config: PlannerConfig, batched: bool) -> None:
+    def __init__(self, values: NDArray[Any], config: PlannerConfig, stages: Sequence[Stage], batched: bool) -> None:
         self._values, self._config, self._batched = values, config, batched
+        self._reports = {name: report for stage in stages for name, report in stage.reports.items()}
         self._drones, self._instances = len(values["best"]), len(config.kinds)
 
     def per_drone(self, array: Any) -> Any:
@@ -92,30 +93,23 @@ class _PlanArrays:
         )
         return BrakingCandidates(positions, velocities, clearance.min(axis=-1))
 
-    def _moving(self) -> MovingObstacles | None:
-        if self._batched:
-            return None
-        if "dynamic_count" not in (self._values.dtype.names or ()):
-            return MovingObstacles.none()
-        count = int(self._values["dynamic_count"][0])
-        names = ("dynamic_position", "dynamic_velocity", "dynamic_radius")
-        return MovingObstacles(*(self._values[name][0, :count] for name in names))
-
     def __call__(self, name: str) -> Any:
         """Return a field of `Plan`; raises AttributeError for another name."""
-        makers = {"kinds": self._kinds, "braking": self._braking, "moving": self._moving}
+        makers = {"kinds": self._kinds, "braking": self._braking}
         if name in makers:
             return makers[name]()
+        if name in self._reports:
+            return self._reports[name](self._values, self._config, self._batched)
         if name not in _ARRAYS:
+            if name in Plan.__dataclass_fields__:
+                return None  # that of a stage which is not active
             raise AttributeError(f"a plan has no attribute {name!r}")
-        array, B = self._values[_SOURCES.get(name, name)], self._drones
+        array, B = self._values[name], self._drones
         if name in _PER_INSTANCE:
             array = self._with_replacement(array) if name in _OF_GUIDES else array[:, : self._instances]
         match name:
             case "fine_range":
                 array = array.reshape(B, *self._config.fine_shape)
-            case "continued_cells":
-                array = (array == _CONTINUED).reshape(B, *self._config.fine_shape)
             case "safe_range" | "safe_direction":
                 array = array.reshape(B, COARSE_ROWS, COARSE_COLUMNS, *array.shape[2:])
             case "guide_coefficients":

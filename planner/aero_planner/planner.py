@@ -190,6 +190,17 @@ class Planner:
         """Device arrays of intermediate results, for tests and benchmarks; a structural change replaces them."""
         return self._work
 
+    def arrays_of(self, stage: str) -> dict[str, wp.array]:
+        """Return the device arrays of an active stage by name, for tests and benchmarks.
+
+        Raises:
+            ValueError: there is no such stage, or it is not active.
+        """
+        if stage not in self._stages:
+            raise ValueError(f"stage {stage!r} is not active; stages.active lists {', '.join(self._stages) or 'none'}.")
+        groups = [group for group in self._stages[stage] if group is not None]
+        return {name: array for group in groups for name, array in as_dict(group).items()}
+
     @property
     def params(self) -> wp.array:
         """Device array of the live parameters, shape [B]."""
@@ -368,7 +379,9 @@ class Planner:
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
         sampled = sampled_positions(self._work, self._sizes, values["positions"]) if samples else None
-        return make_plan(values, self._config, batched=self._batched, stage_ms=stage_ms, samples=sampled)
+        return make_plan(
+            values, self._config, self._composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
+        )
 
     def _write_points(self, points: Points) -> None:
         if not self._cloud.is_current(points):
@@ -403,7 +416,7 @@ class Planner:
         since.
 
         Args:
-            instances: instances, for their Stage II rollouts; of one that a stop has replaced, for that of the stop.
+            instances: instances, for their Stage II rollouts; of one that was replaced, that of its replacement.
             samples: instance and sample of Stage I rollouts, which follow those.
 
         Raises:
@@ -413,12 +426,12 @@ class Planner:
         for m, k in (*((m, 0) for m in instances), *samples):
             if not (0 <= m < M and 0 <= k < K):
                 raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
-        optimised: Any = self._outputs.arrays.controls.numpy()
+        o = self._outputs.arrays
+        optimised, replaced, flown = (array.numpy()[0] for array in (o.controls, o.braking_instance, o.flown))
         sampled: Any = self._work.sample_controls.numpy() if samples else None
-        flown = {int(self._outputs.arrays.braking_instance.numpy()[0]): int(self._outputs.arrays.flown.numpy()[0])}
-        shown = [flown.get(m, m) for m in instances]
-        controls = [optimised[0, row] for row in shown] + [sampled[m, :, :, k] for m, k in samples]
-        rows = [(0, row) for row in (*shown, *(m for m, _ in samples))]
+        flown_rows = [int(flown) if m == replaced else m for m in instances]
+        controls = [optimised[m] for m in flown_rows] + [sampled[m, :, :, k] for m, k in samples]
+        rows = [(0, m) for m in (*flown_rows, *(m for m, _ in samples))]
         kinds = self._config.kinds
         previous_index = kinds.index("previous") if "previous" in kinds else -1
         shape = (max(len(rows), 1), self._sizes.N, 4)

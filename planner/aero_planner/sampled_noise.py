@@ -18,15 +18,17 @@ wp.set_module_options({"enable_backward": False})
 
 @wp.kernel
 def draw_noise(
-    fresh: int, seed: wp.array(dtype=int), tick: wp.array(dtype=int), table: wp.array3d(dtype=float),
+    seed: wp.array(dtype=int),
+    tick: wp.array(dtype=int),
+    table: wp.array3d(dtype=float),
     noise: wp.array4d(dtype=wp.vec4),
-):  # fmt: skip
+):
     """Write what `kernels.mppi.sample_rollouts` draws from its table. Launched over [B, M, K].
 
     The samples of an instance use consecutive rows from a random multiple of NOISE_STEP on, with random signs.
     """
     b, m, k = wp.tid()
-    bits = int(wp.rand_init(seed[b] + 7919 * fresh * tick[b], m) & wp.uint32(0x7FFFFFFF))
+    bits = int(wp.rand_init(seed[b] + 7919 * tick[b], m) & wp.uint32(0x7FFFFFFF))
     rows = table.shape[2]
     row = (bits % (rows // NOISE_STEP) * NOISE_STEP + k) % rows
     for t in range(noise.shape[3]):
@@ -42,7 +44,7 @@ def noise_of_next_plan(planner: Planner) -> NDArray[np.float32]:
     shape = work.seed.shape[0], len(planner.config.kinds), sampling.samples, sampling.steps
     vec4: Any = wp.vec4
     noise = wp.empty(shape, dtype=vec4, device=planner.device)
-    inputs = [int(sampling.fresh_noise), work.seed, work.tick, work.noise]
+    inputs = [work.seed, work.tick, work.noise]
     wp.launch(draw_noise, shape[:3], inputs=inputs, outputs=[noise], device=planner.device)
     values: Any = noise.numpy()
     return values

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from aero_planner.config import PlannerConfig
 from aero_planner.costs.cost_term import CostTerm
 
 Launches = list[Callable[[], Any]]
@@ -44,7 +45,9 @@ class Stage:
         name: its name in `aero_planner.registry`, that of its parameter section.
         label: for people.
         arrays: dataclass that declares its device arrays, see `array_memory.array`; fields with `kept` are its state.
-        outputs: dataclass that declares what a `Plan` reports of it.
+        outputs: dataclass that declares the arrays that are copied to the host with each plan.
+        reports: fields of a `Plan` that it makes, each a function of the planner's outputs: (values, config, batched).
+            `values` is a record of the arrays of all outputs by name, with a leading axis B.
         symbols: (rows, columns of fine cells) -> sizes by symbols that the shapes of its arrays use besides the core's.
         view: Warp struct that hooks and cost terms read; its fields have the names of arrays of the stage, or of the
             core.
@@ -53,7 +56,6 @@ class Stage:
         stopping_rows: number of rows of candidates that it appends to those that stop.
         launches: by place of the pipeline, the function of a `Recorder` that records its launches there. The places:
             "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
-            "cloud": after that, before the points are scanned, to change them;
             "start": after the state is predicted, before the anchors are placed;
             "beside": beside everything up to the first clearance query;
             "cells": after the fine cells are known, before the points are sorted into the grid;
@@ -69,9 +71,10 @@ class Stage:
     label: str
     arrays: type | None = None
     outputs: type | None = None
+    reports: Mapping[str, Callable[[Any, PlannerConfig, bool], Any]] = field(default_factory=dict)
     symbols: Callable[[int, int], dict[str, int]] | None = None
     view: Any = None
     hooks: Hooks = field(default_factory=Hooks)
     terms: tuple[CostTerm, ...] = ()
     stopping_rows: int = 0
-    launches: dict[str, Callable[[Any], list[list[Launches]]]] = field(default_factory=dict)
+    launches: Mapping[str, Callable[[Any], list[list[Launches]]]] = field(default_factory=dict)

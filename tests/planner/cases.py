@@ -12,7 +12,7 @@ from aero_planner.config import Value
 from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 from tests.planner.reference import Array, rotation, unit
 
-SMALL: dict[str, Value] = {"sampling.samples": 16, "vehicle.disturbance_time": 0.0, "vehicle.drag_time": 0.0}
+SMALL: dict[str, Value] = {"sampling.samples": 16, "disturbance.disturbance_time": 0.0, "disturbance.drag_time": 0.0}
 """Few samples keep tests fast; only statistics depend on K. Cases do not follow each other as the states of a drone do,
 so that the differences of their accelerations from those of the last plan are no disturbances."""
 
@@ -28,10 +28,10 @@ def config_of(preset: str = "default", **changes: Value) -> PlannerConfig:
     return PlannerConfig.preset(preset).replace(SMALL | {k.replace("__", "."): v for k, v in changes.items()})
 
 
-def change_of_sweeps(recent: Sequence[int], device: str, *, number: int = 0, oldest: int = 0) -> wp.array:
+def change_of_sweeps(recent: Sequence[int], device: str) -> wp.array:
     """Return a change in which no sweep arrives, and the motion is estimated from the rows `recent`, newest first."""
     change: Any = SweepChange()
-    change.arrived, change.thinned, change.number, change.oldest = -1, -1, number, oldest
+    change.arrived, change.thinned = -1, -1
     change.recent = RecentRows(*recent, *[-1] * (int(RECENT) - len(recent)))
     return wp.array([change], dtype=SweepChange, device=device)
 
@@ -127,6 +127,14 @@ def random_case(seed: int, *, count: int = 2000, nearest: float = 0.6, speed: fl
         goal=exact(position + rng.normal(size=3) * [15, 15, 3]),
         points=random_cloud(rng, position, count, nearest),
     )
+
+
+def level_case(x: float = 20.0, *, speed: float = 0.0) -> Case:
+    """Return a level drone at the origin with the goal `x` ahead [m], a velocity toward it [m/s], and no cloud."""
+    case = random_case(0, count=0)
+    case.position, case.velocity, case.acceleration = np.zeros(3), np.array([speed, 0.0, 0.0]), np.zeros(3)
+    case.quaternion, case.goal = np.array([1.0, 0.0, 0.0, 0.0]), np.array([x, 0.0, 0.0])
+    return case
 
 
 def shell(position: Array, radius: float, count: int = 20000) -> np.ndarray:

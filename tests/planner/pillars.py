@@ -57,8 +57,8 @@ def plan_from(planner: Planner, sweeps: Sweeps, position: Array, *, later: float
     return planner.plan(state, GOAL, sweeps)
 
 
-def movers_of(plan: Plan) -> tuple[Array, Array, Array]:
-    """Return positions [m], velocities [m/s] and radii [m] of what the planner takes for moving."""
+def dynamic_obstacles(plan: Plan) -> tuple[Array, Array, Array]:
+    """Return positions [m], velocities [m/s] and radii [m] of the dynamic obstacles of a plan."""
     assert plan.moving is not None
     moving = (plan.moving.positions, plan.moving.velocities, plan.moving.radii)
     positions, velocities, radii = (array.astype(np.float64) for array in moving)

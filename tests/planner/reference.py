@@ -73,13 +73,6 @@ def partition(
     return fine, nearest
 
 
-def closed(fine: Array) -> Array:
-    """Return the ranges [rows, columns] up to which fine cells are seen if holes of one cell in surfaces are closed."""
-    beside = np.maximum(np.roll(fine, 1, axis=1), np.roll(fine, -1, axis=1))
-    above, below = np.vstack((fine[1:], fine[-1:])), np.vstack((fine[:1], fine[:-1]))
-    return np.minimum(fine, np.minimum(beside, np.maximum(above, below)))
-
-
 def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Array]:
     """Return the maximum range of a coarse cell and the directions, shape [n, 3], of the fine cells that share it."""
     block = np.s_[row * pool : (row + 1) * pool, column * pool : (column + 1) * pool]
@@ -90,41 +83,29 @@ def safe_cells(fine: Array, pool: int, row: int, column: int) -> tuple[float, Ar
 # 4. Anchors.
 
 
-def lookahead(speed: float, goal_distance: float, config: PlannerConfig) -> float:
-    """Return l, or lookahead_time v_limit if that is longer; with the options min(l, l_rest + 0.6 T v), and at most 0.6
-    T v_limit and the distance to the goal.
-    """
-    steady, a = 0.6 * config.horizon, config.anchors
-    longest = max(a.lookahead, a.lookahead_time * config.vehicle.speed_limit)
-    at_speed = a.lookahead_rest + steady * speed if a.lookahead_rest < longest else np.inf
-    return min(longest, at_speed, steady * config.vehicle.speed_limit, goal_distance)
+def lookahead(goal_distance: float, config: PlannerConfig) -> float:
+    """Return l, which grows with the speed limit and is at most 0.6 T v_limit and the distance to the goal."""
+    longest = max(config.anchors.lookahead, config.anchors.lookahead_time * config.vehicle.speed_limit)
+    return min(longest, 0.6 * config.horizon * config.vehicle.speed_limit, goal_distance)
 
 
 def anchor_directions(position: Array, velocity: Array, goal: Array, config: PlannerConfig) -> Array:
-    """Return the world directions of the initial endpoints of the first plan, shape [M_h M_v, 3]; columns run fastest.
+    """Return the world directions of the initial endpoints, shape [M_h M_v, 3]; columns run fastest.
 
-    Later plans of a slow drone have other spreads, see `anchors.slow_cycle`.
+    With a way out, those of a drone below 3 m/s are spread.
     """
     a, (x, y, z) = config.anchors, goal - position
-    spread, rise = (a.slow_spread, a.slow_rise) if np.linalg.norm(velocity) < a.slow_speed else (1.0, 1.0)
-    spacing = np.radians(a.spacing) * (1.0 + (spread - 1.0) / a.slow_cycle)
-    rise = np.radians(a.spacing) * (1.0 + (rise - 1.0) / a.slow_cycle)
-    azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing
-    elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * rise
+    is_spread = "way_out" in config.stages.names and np.linalg.norm(velocity) < 3.0
+    across, up = (config.way_out.spread, config.way_out.rise) if is_spread else (1.0, 1.0)
+    spacing = np.radians(a.spacing)
+    azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing * across
+    elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * spacing * up
     return np.array([[np.cos(e) * np.cos(h), np.cos(e) * np.sin(h), np.sin(e)] for e in elevation for h in azimuth])
 
 
-def clipped_length(length: float, free: float, config: PlannerConfig) -> float:
-    """Return the length of a guide of a slow drone that is stuck, from l and the range of its fine cell."""
-    return min(length, max(free - config.escape.guide_margin, config.escape.guide_min))
-
-
-def escape_cost(p: Array, places: Array, nearest: float, goal: Array, config: PlannerConfig) -> float:
-    """Return the cost of a rollout that ends at p [3] for places [n, 3] and the least distance to the goal so far."""
-    c, distance = config.escape, float(np.linalg.norm(p - goal))
-    depth = np.maximum(c.radius - np.linalg.norm(places - p, axis=1), 0.0).sum()
-    ahead = np.clip(1.0 - (nearest - distance) / c.ahead, 0.0, 1.0)
-    return float(c.q_escape * depth * min(1.0, distance / (0.5 * c.radius)) * ahead)
+def clipped_length(length: float, free: float) -> float:
+    """Return the length of a guide that ends 0.2 m before the range of its fine cell, from l, at least 0.6 m."""
+    return min(length, max(free - 0.2, 0.6))
 
 
 # 5. Guides.
@@ -175,7 +156,7 @@ def hover(config: PlannerConfig) -> Array:
 def follow(control: Array, command: Array, time: float, config: PlannerConfig) -> tuple[Array, Array]:
     """Return the mean control over `time` and the one at its end, if it follows the command with the vehicle's lags."""
     v = config.vehicle
-    lags = np.array([v.thrust_lag, v.rate_xy_lag, v.rate_xy_lag, v.rate_z_lag])
+    lags = np.array([v.thrust_lag, v.rate_lag, v.rate_lag, v.rate_lag])
     with np.errstate(divide="ignore"):
         left = np.where(lags > 0.0, np.exp(-time / lags), 0.0)
     difference = control - command
@@ -216,7 +197,6 @@ def follow_guide(
     coefficients: Array,
     quaternion: Array,
     yaw_rate: float,
-    command: Array,
     control: Array,
     config: PlannerConfig,
     disturbance: Array = NO_DISTURBANCE,
@@ -224,10 +204,10 @@ def follow_guide(
 ) -> Array:
     """Return the nominal controls of an anchor, shape [N, 4], from the coefficients of its guide, shape [3, 6].
 
-    `command` is in force at first, and `control` in effect.
+    `control` is in effect at first.
     """
-    dt, N, v, lag = config.sampling.dt, config.sampling.steps, config.vehicle, config.sampling.nominal_lag
-    lead, q, controls = 2.0 * v.rate_xy_lag + lag, unit(quaternion), []
+    dt, N, v = config.sampling.dt, config.sampling.steps, config.vehicle
+    lead, q, controls = 2.0 * v.rate_lag, unit(quaternion), []
     limits = np.array([v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
 
     def force(s: float) -> Array:
@@ -240,8 +220,6 @@ def follow_guide(
         tilt = np.arctan2(np.hypot(x, y), z) / np.hypot(x, y) / (dt + lead)
         thrust = np.clip(force((t + 0.5) * dt) @ rotation(q)[:, 2], v.thrust_min, v.thrust_max)
         rates = np.clip([-tilt * y, tilt * x, yaw_rate], -limits, limits)
-        if lag > 0.0:
-            rates += np.exp(-dt / lag) * (command[1:] - rates)
         command = np.concatenate(([thrust], rates))
         mean, control = follow(control, command, dt, config)
         q = rk4(np.concatenate((np.zeros(3), q, np.zeros(3))), mean, config)[3:7]
@@ -260,97 +238,114 @@ def clearance(positions: Array, points: Array, limit: float) -> Array:
     return np.minimum(distance, limit)
 
 
-def J_track(p: Array, guide: Array, config: PlannerConfig) -> float:
-    return float(config.costs.q_track * np.linalg.norm(p - guide, axis=1).sum())
+# Terms of a rollout x under controls u at each time step, shape [N]. Their sums are those of the paper.
 
 
-def J_vnorm(v: Array, config: PlannerConfig) -> float:
-    return config.costs.q_vnorm * (v**2).sum()
+def J_track(p: Array, guide: Array, config: PlannerConfig) -> Array:
+    return config.costs.q_track * np.linalg.norm(p - guide, axis=1)
 
 
-def J_ctrl(u: Array, config: PlannerConfig) -> float:
-    """Return Q_c |u_t|^2 over t = 0..N-2 and Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2: the last control is free."""
-    change = u[1:-1] - u[:-2]
-    return config.costs.q_control * (u[:-1] ** 2).sum() + config.costs.q_control_rate * (change**2).sum()
+def J_vnorm(v: Array, config: PlannerConfig) -> Array:
+    return config.costs.q_vnorm * (v**2).sum(axis=1)
 
 
-def J_jump(u: Array, command: Array, config: PlannerConfig) -> float:
-    """Return q_control_jump |omega_0 - omega|^2 of the first control u of a plan and the command in force."""
-    return float(config.costs.q_control_jump * ((u[1:] - command[1:]) ** 2).sum())
+def J_effort(u: Array, config: PlannerConfig) -> Array:
+    """Return Q_c |u_t|^2 over t = 0..N-2: the last control is free."""
+    return config.costs.q_control * np.append((u[:-1] ** 2).sum(axis=1), 0.0)
 
 
-def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: PlannerConfig) -> float:
-    c, R_goal = config.costs, rotation(unit(q_goal))
-    attitude = sum(np.linalg.norm(rotation(q) @ R_goal.T - np.eye(3)) for q in x.q)
-    position, velocity = np.linalg.norm(x.p - p_goal, axis=1).sum(), np.linalg.norm(x.v - v_goal, axis=1).sum()
-    height = np.abs(x.p[:, 2] - p_goal[2]).sum()
-    return float(c.q_position * position + c.q_height * height + c.q_velocity * velocity + c.q_attitude * attitude)
+def J_change(u: Array, config: PlannerConfig) -> Array:
+    """Return Q_cd |u_t - u_{t-1}|^2 over t = 1..N-2."""
+    change = np.diff(u[:-1], axis=0, prepend=u[:1])
+    return config.costs.q_control_rate * np.append((change**2).sum(axis=1), 0.0)
 
 
-def J_col(d: Array, config: PlannerConfig) -> float:
+def J_ctrl(u: Array, config: PlannerConfig) -> Array:
+    return J_effort(u, config) + J_change(u, config)
+
+
+def J_jump(u: Array, command: Array, config: PlannerConfig) -> Array:
+    """Return q_control_jump |omega_0 - omega|^2 of the first control of a plan and the command in force."""
+    jump = config.costs.q_control_jump * ((u[0, 1:] - command[1:]) ** 2).sum()
+    return np.append(jump, np.zeros(len(u) - 1))
+
+
+def J_position(p: Array, p_goal: Array, config: PlannerConfig) -> Array:
+    return config.costs.q_position * np.linalg.norm(p - p_goal, axis=1)
+
+
+def J_velocity(v: Array, v_goal: Array, config: PlannerConfig) -> Array:
+    return config.costs.q_velocity * np.linalg.norm(v - v_goal, axis=1)
+
+
+def J_attitude(q: Array, q_goal: Array, config: PlannerConfig) -> Array:
+    R_goal = rotation(unit(q_goal))
+    return config.costs.q_attitude * np.array([np.linalg.norm(rotation(x) @ R_goal.T - np.eye(3)) for x in q])
+
+
+def J_goal(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, config: PlannerConfig) -> Array:
+    return J_position(x.p, p_goal, config) + J_velocity(x.v, v_goal, config) + J_attitude(x.q, q_goal, config)
+
+
+def J_col(d: Array, config: PlannerConfig) -> Array:
     c = config.costs
     if c.shape == "exponential":
         inside, between = np.full_like(d, c.penalty), c.penalty * np.exp(-c.decay * (d - c.distance_min))
     else:
         inside = c.penalty * (2.0 - d / max(c.distance_min, 1e-9))
-        soft = c.soft_weight * min(1.0, config.vehicle.speed_limit / c.soft_speed)
-        between = soft * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
-    return float(np.where(d < c.distance_min, inside, np.where(d < c.distance_max, between, 0.0)).sum())
+        between = c.soft_weight * ((c.distance_max - d) / (c.distance_max - c.distance_min)) ** 2
+    return np.where(d < c.distance_min, inside, np.where(d < c.distance_max, between, 0.0))
 
 
-def J_speed(v: Array, config: PlannerConfig) -> float:
+def J_speed(v: Array, config: PlannerConfig) -> Array:
     excess = np.maximum(np.linalg.norm(v, axis=1) - config.vehicle.speed_limit, 0.0)
-    descent = np.maximum(-v[:, 2] - config.vehicle.descent_limit, 0.0)
-    return float(config.costs.q_speed * (excess**2 + descent**2).sum())
+    return config.costs.q_speed * excess**2
 
 
-def waypoint(p0: Array, anchor: Array, reach: float, goal: Array, config: PlannerConfig) -> Array:
-    """Return the waypoint of an anchor; it is the goal if the path leads straight there."""
-    distance = config.costs.waypoint_distance
-    if not reach < distance < np.linalg.norm(goal - p0):
-        return goal
-    return p0 + distance * (anchor - p0) / np.linalg.norm(anchor - p0)
+# Terms of the end p of a rollout.
 
 
-def probes(p: Array, waypoint: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
-    """Return the centres of `count` segments of the path from p by the waypoint to the goal, and its length."""
-    corners = np.array([p, waypoint, goal])
-    lengths = np.concatenate(([0.0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))))
-    length = min(config.costs.blocked_range, lengths[-1])
+def probes(p: Array, goal: Array, config: PlannerConfig, count: int = 10) -> tuple[Array, float]:
+    """Return the centres of `count` segments of the straight path from p to the goal, and its length, at most l."""
+    distance = float(np.linalg.norm(goal - p))
+    length = min(config.anchors.lookahead, distance)
     places = (np.arange(count) + 0.5) / count * length
-    return np.stack([np.interp(places, lengths, corners[:, axis]) for axis in range(3)], axis=1), length
+    return p + places[:, None] * (goal - p) / max(distance, 1e-6), length
 
 
-def J_blocked(p: Array, waypoint: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
+def J_blocked(p: Array, goal: Array, points: Array, config: PlannerConfig) -> float:
     """Return the cost-to-go: q_blocked times the blocked length of the path from the final state to the goal."""
-    if config.costs.q_blocked == 0.0:
-        return 0.0
-    radius = config.costs.blocked_radius
-    places, length = probes(p, waypoint, goal, config)
-    return config.costs.q_blocked * length * float((clearance(places, points, 2 * radius + 1) < radius).mean())
+    places, length = probes(p, goal, config)
+    d_min = config.costs.distance_min
+    return config.costs.q_blocked * length * float((clearance(places, points, 2 * d_min + 1) < d_min).mean())
 
 
-def S2(
-    x: Rollout, waypoint: Array, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig
-) -> float:
-    """Return J_goal + J_col and the terms of the options."""
+def J_escape(p: Array, places: Array, goal: Array, config: PlannerConfig) -> float:
+    """Return q_escape times the depth of p in the neighbourhoods of places [n, 3], which fades out near the goal."""
+    radius, distance = config.way_out.radius, float(np.linalg.norm(p - goal))
+    depth = np.maximum(radius - np.linalg.norm(places - p, axis=1), 0.0).sum()
+    return float(config.way_out.q_escape * depth * min(1.0, distance / (0.5 * radius)))
+
+
+def S2(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig) -> float:
+    """Return J_goal + J_col and the terms of the options, without places to escape from."""
     d = clearance(x.p, points, config.costs.distance_max)
-    options = J_speed(x.v, config) + J_blocked(x.p[-1], waypoint, p_goal, points, config)
-    return J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + options
+    steps = J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + J_speed(x.v, config)
+    return float(steps.sum()) + J_blocked(x.p[-1], p_goal, points, config)
 
 
 def S1(
     x: Rollout,
     u: Array,
     guide: Array | None,
-    waypoint: Array,
     goal: tuple[Array, Array, Array],
     points: Array,
     config: PlannerConfig,
 ) -> float:
     """Return J_track + J_vnorm + J_ctrl + S2, without J_track if there is no guide."""
-    track = 0.0 if guide is None else J_track(x.p, guide, config)
-    return track + J_vnorm(x.v, config) + J_ctrl(u, config) + S2(x, waypoint, *goal, points, config)
+    track = 0.0 if guide is None else J_track(x.p, guide, config).sum()
+    effort = J_vnorm(x.v, config).sum() + J_ctrl(u, config).sum()
+    return float(track + effort) + S2(x, *goal, points, config)
 
 
 def softmin(S: Array, temperature: float) -> Array:

@@ -21,9 +21,9 @@ def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
     np.testing.assert_allclose(plan.velocities[m, 1:], x.v, atol=1e-4)
     d_max = config.costs.distance_max
     np.testing.assert_allclose(plan.clearance[m], reference.clearance(x.p, kept_points(plan), d_max), atol=2e-4)
-    np.testing.assert_allclose(plan.goal_cost[m], reference.J_goal(x, *case.full_goal(), config), rtol=2e-5)
+    np.testing.assert_allclose(plan.goal_cost[m], reference.J_goal(x, *case.full_goal(), config).sum(), rtol=2e-5)
     d = plan.clearance[m].astype(np.float64)
-    np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config), rtol=1e-4)
+    np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config).sum(), rtol=1e-4)
     np.testing.assert_array_equal(plan.guides[m, 0], plan.positions[m, 0])
     np.testing.assert_allclose(plan.guides[m, -1], plan.anchors[m], atol=2e-4)
     np.testing.assert_array_equal(plan.command, plan.controls[m])
@@ -31,7 +31,7 @@ def assert_consistent(plan: Plan, case: Case, config: PlannerConfig) -> None:
 
 def test_shapes_and_types(device: str):
     plan = random_case(0).plan(Planner(config_of(), device=device), samples=True)
-    M, N, K = 17, 25, 16
+    M, N, K = 16, 25, 16
     shapes = {
         "fine_range": (80, 160), "safe_range": (10, 20), "safe_direction": (10, 20, 3), "initial_endpoints": (M, 3),
         "anchors": (M, 3), "guide_coefficients": (M, 3, 6), "guides": (M, N + 1, 3), "controls": (M, N, 4),
@@ -43,7 +43,7 @@ def test_shapes_and_types(device: str):
         array = getattr(plan, name)
         assert array.shape == shape and array.dtype == np.float32, name
         assert np.isfinite(array).all(), name
-    assert plan.kinds == ("anchor",) * 15 + ("previous", "brake")
+    assert plan.kinds == ("anchor",) * 15 + ("previous",)
     assert isinstance(plan.best, int) and isinstance(plan.status, PlanStatus)
     assert plan.stage_ms["total"] > 0.0
     assert Planner(config_of("paper"), device=device).config.kinds == ("anchor",) * 15
@@ -51,7 +51,7 @@ def test_shapes_and_types(device: str):
 
 @pytest.mark.parametrize("depth", [0.0, 5.0])
 def test_continued_cells_are_those_whose_points_were_not_measured(device: str, depth: float):
-    case, config = random_case(0), config_of(partition__continue_below=depth, partition__continue_above=depth)
+    case, config = random_case(0), config_of(unseen_space__continuation=depth)
     plan = case.plan(Planner(config, device=device))
     assert plan.continued_cells is not None and plan.continued_cells.dtype == np.bool_
     assert plan.continued_cells.shape == plan.fine_range.shape and plan.continued_cells.any() == (depth > 0.0)
@@ -82,10 +82,10 @@ def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, see
     assert plan.kinds[plan.best] == "brake"
     assert_consistent(plan, case, config)
     x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[plan.best], config)
-    # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag.
-    assert np.linalg.norm(x.v[-1]) < 1.5
+    # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag, to the side even more.
+    assert np.linalg.norm(x.v[-1]) < 2.0
     # It is what the next plan continues with.
-    np.testing.assert_array_equal(planner.history().controls[0], plan.controls[plan.best])
+    np.testing.assert_array_equal(planner.history().arrays["previous_controls"][0], plan.controls[plan.best])
 
 
 @pytest.mark.parametrize("preset", ["default", "paper"])
@@ -122,14 +122,17 @@ def test_safe_clearance_is_the_exact_limit(device: str):
     for seed in range(8):
         case = random_case(seed, nearest=1.1, count=3000)
         planner.configure(config)
+        planner.reset()  # for the same noise
         free = case.plan(planner)
         assert free.status == PlanStatus.OK and free.best == np.argmin(free.stage2_cost)
         nearest = float(free.clearance[free.best].min())
         if nearest > 0.95:
             continue  # d_max may hide how far it really is
         planner.configure(config.replace({"candidates.safe_clearance": nearest - 0.001}))
+        planner.reset()
         assert case.plan(planner).best == free.best
         planner.configure(config.replace({"candidates.safe_clearance": nearest + 0.01}))
+        planner.reset()
         plan = case.plan(planner)
         if plan.status == PlanStatus.OK:
             assert plan.best != free.best and plan.clearance[plan.best].min() >= nearest + 0.00999
@@ -153,10 +156,11 @@ def test_a_seed_may_be_any_integer(device: str, seed: int):
 
 
 def test_the_paper_preset_carries_nothing_from_plan_to_plan(device: str):
-    planner = Planner(config_of("paper"), device=device)
-    first = random_case(0).plan(planner)
-    random_case(1).plan(planner)
-    assert_same(first, random_case(0).plan(planner))
+    """But for the number of plans, which selects the noise."""
+    planners = [Planner(config_of("paper"), device=device) for _ in range(2)]
+    for before, planner in enumerate(planners):
+        random_case(before).plan(planner)
+    assert_same(*(random_case(2).plan(planner) for planner in planners))
 
 
 def test_threads_do_not_change_the_plan(device: str):
@@ -183,15 +187,15 @@ def test_a_batch_equals_single_planners(device: str):
                 assert getattr(together, name)[b] == getattr(alone, name)
 
 
-def test_a_launch_leaves_out_finished_drones_and_plans_the_same_for_the_others(device: str):
+def test_a_launch_leaves_out_inactive_drones_and_plans_the_same_for_the_others(device: str):
     config, cases = config_of(), [random_case(seed) for seed in range(3)]
     planners = [Planner(config, device=device, batch=3) for _ in range(2)]
     for planner in planners:
         planner.plan(*batch_of(cases))
-    finished = wp.array([0, 1, 0], dtype=int, device=device)
-    for left_out, changed in ((finished, [True, False, True]), (None, [True, True, True])):
+    active = wp.array([1, 0, 1], dtype=int, device=device)
+    for mask, changed in ((active, [True, False, True]), (None, [True, True, True])):
         before = planners[0].outputs.stage1_cost.numpy().reshape(3, -1).copy()
-        planners[0].launch(finished=left_out)
+        planners[0].launch(active=mask)
         planners[1].launch()
         costs, all_costs = (planner.outputs.stage1_cost.numpy().reshape(3, -1) for planner in planners)
         assert [bool(np.any(costs[b] != before[b])) for b in range(3)] == changed
@@ -251,10 +255,12 @@ def test_a_rebuild_that_fails_keeps_the_previous_plan(monkeypatch: pytest.Monkey
 
 
 def test_live_changes_keep_the_buffers(device: str):
-    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    case, planner = random_case(0), Planner(config_of(), device=device)
     before = case.plan(planner)
     pointers = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner.params)]
-    planner.configure(planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead_rest": 0.5}))
+    planner.configure(
+        planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead": 0.5, "anchors.lookahead_time": 0.0})
+    )
     after = case.plan(planner)
     assert not np.array_equal(before.controls, after.controls)
     assert np.linalg.norm(after.anchors[7] - case.position) < np.linalg.norm(before.anchors[7] - case.position)
@@ -270,7 +276,7 @@ def test_structural_changes_rebuild(device: str):
     small = config_of(sampling__samples=8, sampling__steps=10, anchors__columns=3, partition__fine_cells=3)
     planner.configure(small)
     plan = case.plan(planner)
-    assert plan.controls.shape == (11, 10, 4) and plan.stage1_cost.shape == (11, 8)
+    assert plan.controls.shape == (10, 10, 4) and plan.stage1_cost.shape == (10, 8)
     assert plan.fine_range.shape == (30, 60)
     assert_same(plan, case.plan(Planner(small, device=device)))
 
@@ -307,6 +313,7 @@ def test_clouds_grow_and_shrink(device: str):
     planner = Planner(config_of("paper"), device=device)
     for count in (10, 300_000, 0, 40, 2000):
         case = random_case(1, count=count)
+        planner.reset()
         assert_same(case.plan(planner), case.plan(Planner(config_of("paper"), device=device)))
 
 
@@ -319,6 +326,7 @@ def test_points_as_warp_arrays_lists_and_doubles(device: str):
         cloud.astype(np.float64), cloud.tolist(), np.asfortranarray(cloud), np.repeat(cloud, 2, axis=0)[::2],
     ):  # fmt: skip
         case.points = points  # type: ignore[assignment]
+        planner.reset()
         assert_same(expected, case.plan(planner))
 
 
@@ -346,7 +354,7 @@ def test_launch_plans_from_device_arrays(device: str):
 
 def test_a_read_only_cloud_is_copied_once(device: str):
     """It is copied again after the cloud on the device has changed."""
-    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    case, planner = random_case(0), Planner(config_of(), device=device)
     fresh = case.plan(planner)
     case.points.flags.writeable = False
     for disturb in (

@@ -7,7 +7,7 @@ from tests.planner.cases import batch_of, config_of, random_case
 
 def test_it_is_what_the_next_plan_samples(device: str):
     """In successive plans, and for drones with seeds of their own."""
-    config = config_of("paper", sampling__fresh_noise=True)
+    config = config_of("paper")
     planner = Planner(config, device=device, seed=[5, 2**31 + 5], batch=2)
     v, s = config.vehicle, config.sampling
     sigma = np.sqrt([s.variance_thrust, s.variance_rate_xy, s.variance_rate_xy, s.variance_rate_z])

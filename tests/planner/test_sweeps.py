@@ -42,7 +42,7 @@ def test_plans_equal_those_of_the_joined_cloud(device: str, threads: int):
 def test_equal_ranges_take_the_point_of_the_oldest_sweep(device: str):
     # Both squared ranges are the same number, in whatever order they are summed.
     a, b = [4.0, 2**-4, 2**-5], [4.0, 2**-5, 2**-4]
-    planner = Planner(config_of(partition__view_age=0.0), device=device)
+    planner = Planner(config_of(unseen_space__view_age=0.0), device=device)
     for first, second in ((a, b), (b, a)):
         sweeps = Sweeps([np.full((50, 3), np.nan, np.float32)] * 3)
         for points in (first, second, first, second):
@@ -52,7 +52,7 @@ def test_equal_ranges_take_the_point_of_the_oldest_sweep(device: str):
 
 
 def test_a_larger_range_reaches_points_that_were_out_of_range(device: str):
-    planner = Planner(config_of(partition__view_age=0.0), device=device)
+    planner = Planner(config_of(unseen_space__view_age=0.0), device=device)
     sweeps = Sweeps([np.array([[14.0, 0.0, 0.0], [0.0, 3.0, 0.0]], np.float32)])
     assert len(planner.plan(STATE, GOAL, sweeps).filtered_points) == 1
     planner.configure(planner.config.replace({"partition.range_max": 15.0}))
@@ -88,7 +88,7 @@ def test_a_sweep_in_the_memory_of_an_earlier_one_is_thinned_by_itself():
 def test_any_sweeps_may_follow_any_others(device: str):
     """A session that goes back in time returns to earlier sweeps."""
     rng = np.random.default_rng(0)
-    ring = Planner(config_of(sampling__fresh_noise=False), device=device)
+    ring = Planner(config_of(), device=device)
     pool = list(Sweeps([random_sweep(rng, np.zeros(3), int(n)) for n in rng.integers(1, 400, 12)]))
     for _ in range(30):
         first = int(rng.integers(0, 12))
@@ -103,7 +103,7 @@ def test_any_sweeps_may_follow_any_others(device: str):
 
 
 def test_sweeps_and_joined_clouds_may_alternate(device: str):
-    case, planner = random_case(0), Planner(config_of(sampling__fresh_noise=False), device=device)
+    case, planner = random_case(0), Planner(config_of(), device=device)
     expected = case.plan(planner)
     halves = Sweeps(np.array_split(case.points, 2))
     for points in (halves, case.points, halves):
@@ -118,7 +118,7 @@ def test_sweeps_and_joined_clouds_may_alternate(device: str):
 
 def test_a_changed_array_is_a_new_sweep(device: str):
     """Only read-only arrays are recognised: others may have been overwritten."""
-    planner = Planner(config_of(partition__view_age=0.0), device=device)
+    planner = Planner(config_of(unseen_space__view_age=0.0), device=device)
     points = np.array([[5.0, 0.0, 0.0]], np.float32)
     planner.plan(STATE, GOAL, Sweeps([points]))
     points[:] = [[3.0, 0.0, 0.0]]

@@ -252,8 +252,7 @@ def _format_value(info: ParameterInfo, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # A text may look like a number, and YAML 1.1 reads some words as booleans.
-        return f"'{value}'" if info.form or value in _YAML_WORDS else value
+        return f"'{value}'" if info.form else value  # a text may look like a number or a boolean
     return _number(value)
 
 

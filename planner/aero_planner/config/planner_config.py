@@ -20,14 +20,7 @@ from aero_planner.config.sections.partition import PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
 from aero_planner.config.sections.stages import StageConfig
 from aero_planner.config.sections.vehicle import VehicleConfig
-from aero_planner.parameters import (
-    ContradictionError,
-    SectionedConfig,
-    Value,
-    did_you_mean,
-    log_warning,
-    with_sections,
-)
+from aero_planner.parameters import SectionedConfig, Value, did_you_mean, log_warning, with_sections
 from aero_planner.registry import added_sections, names
 
 COARSE_ROWS, COARSE_COLUMNS = 10, 20
@@ -55,19 +48,6 @@ class PlannerConfig(SectionedConfig):
     sampling: SamplingConfig = field(default_factory=SamplingConfig)
     costs: CostConfig = field(default_factory=CostConfig)
     stages: StageConfig = field(default_factory=StageConfig)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for path, low, high in (
-            ("vehicle.thrust", self.vehicle.thrust_min, self.vehicle.thrust_max),
-            ("costs.distance", self.costs.distance_min, self.costs.distance_max),
-            ("partition.range", self.partition.range_min, self.partition.range_max),
-            ("unseen_space.view", self.unseen_space.view_min, self.unseen_space.view_max),
-            ("costs.height", self.costs.height_min, self.costs.height_max),
-        ):
-            if low >= high:
-                message = f"{path}_min is {low}; it must be less than {path}_max, which is {high}."
-                raise ContradictionError(message, f"{path}_min", f"{path}_max")
 
     def replace(self, changes: Mapping[str, Value] | None = None, /, **sections: Any) -> PlannerConfig:
         """Return a copy with `changes`, see the base class; logs a notice of those that an inactive stage ignores."""

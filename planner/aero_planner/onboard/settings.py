@@ -305,11 +305,6 @@ class OnboardConfig(SectionedConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for stem in ("fence_height", "fence_x", "fence_y"):
-            low, high = getattr(self.limits, f"{stem}_min"), getattr(self.limits, f"{stem}_max")
-            if low >= high:
-                message = f"limits.{stem}_min is {low}; it must be less than limits.{stem}_max, which is {high}."
-                raise ContradictionError(message, f"limits.{stem}_min", f"limits.{stem}_max")
         if self.limits.plan_age * self.rates.replan < 2.0:
             raise ContradictionError(
                 f"limits.plan_age is {self.limits.plan_age}; with a rates.replan of {self.rates.replan:g} Hz it must "

@@ -3,9 +3,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aero_planner import Goal, Planner, VehicleState
+from aero_planner import Planner
 from tests.planner import reference
-from tests.planner.cases import config_of, exact, random_case, shell
+from tests.planner.cases import config_of, exact, random_case
 
 SEEDS = range(4)
 
@@ -16,8 +16,8 @@ def test_initial_endpoints(device: str, preset: str, seed: int):
     config, case = config_of(preset), random_case(seed)
     plan = case.plan(Planner(config, device=device))
     directions = reference.anchor_directions(case.position, case.velocity, case.goal, config)
-    speed, distance = np.linalg.norm(case.velocity), np.linalg.norm(case.goal - case.position)
-    expected = case.position + reference.lookahead(float(speed), float(distance), config) * directions
+    distance = float(np.linalg.norm(case.goal - case.position))
+    expected = case.position + reference.lookahead(distance, config) * directions
     # float32 resolves 2e-6 m at 30 m, and turns 5 m by 1e-6 rad.
     np.testing.assert_allclose(plan.initial_endpoints[:15], expected, atol=3e-5)
 
@@ -40,11 +40,6 @@ def test_anchors_are_the_safe_directions_of_their_cells(device: str, seed: int):
         assert chosen @ toward >= (tied @ toward).max() - 1e-5
 
 
-def test_without_refinement_anchors_are_the_initial_endpoints(device: str):
-    plan = random_case(0).plan(Planner(config_of(anchors__refine=False), device=device))
-    np.testing.assert_allclose(plan.anchors[:15], plan.initial_endpoints[:15], atol=1e-5)
-
-
 def test_in_open_space_anchors_stay_within_half_a_fine_cell(device: str):
     case = random_case(1, count=0)
     plan = case.plan(Planner(config_of("paper"), device=device))
@@ -60,86 +55,33 @@ def test_in_open_space_anchors_stay_within_half_a_fine_cell(device: str):
     [
         {},
         {"vehicle__speed_limit": 3.0},
-        {"anchors__lookahead_rest": 5.0},
         {"anchors__lookahead": 12.0, "vehicle__speed_limit": 50.0},
-        {"sampling__dt": 0.02, "anchors__lookahead_rest": 0.5},
+        {"sampling__dt": 0.02, "anchors__lookahead_time": 1.0},
     ],
 )
 def test_lookahead(device: str, speed: float, distance: float, changes: dict[str, Any]):
     config, case = config_of(**changes), random_case(0, count=0)
     case.velocity = exact([speed, 0, 0])
     case.goal = case.beside(0, distance, 0)
-    plan = case.plan(Planner(config, device=device))
-    expected = reference.lookahead(speed, float(np.linalg.norm(case.goal - case.position)), config)
-    for endpoints in (plan.initial_endpoints, plan.anchors):
-        reached = np.linalg.norm(endpoints[:15] - case.position, axis=1)
-        np.testing.assert_allclose(reached, expected, atol=2e-5)
-
-
-def test_slow_drones_use_a_wider_spacing(device: str):
-    config = config_of(anchors__slow_spread=2.0, anchors__slow_cycle=1, anchors__slow_speed=3.0)
     planner = Planner(config, device=device)
-
-    def width(speed: float) -> float:
-        case = random_case(0, count=0)
-        case.velocity, case.goal = exact([speed, 0, 0]), case.beside(30, 0, 0)
-        d = case.plan(planner).initial_endpoints[[6, 7]] - case.position
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
-        return float(np.degrees(np.arccos(d[0] @ d[1])))
-
-    assert width(2.9) == pytest.approx(36.0, abs=0.01)
-    assert width(3.1) == pytest.approx(18.0, abs=0.01)
-
-
-@pytest.mark.parametrize(
-    ("changes", "gets_stuck"),
-    [
-        ({}, True),
-        ({"escape__guide_margin": 0.3, "escape__guide_min": 0.8}, True),
-        ({"escape__guide_depth": 9.0, "escape__radius": 2.0, "anchors__refine": False}, True),
-        ({"escape__guide_depth": 400.0}, False),
-        ({"escape__q_escape": 0.0}, False),
-        ({"anchors__slow_speed": 0.0}, False),
-    ],
-)
-def test_guides_of_a_slow_drone_that_is_stuck_end_before_what_is_seen(
-    device: str, changes: dict[str, Any], gets_stuck: bool
-):
-    config, case = config_of(**changes), random_case(2, speed=0.0, count=0, tilt=0.0)
-    planner, directions = Planner(config, device=device), shell(np.zeros(3), 1.0, count=60000)
-    # Nothing in one quarter around the drone, walls in the others.
-    quarters = np.floor(np.arctan2(directions[:, 1], directions[:, 0]) * 2 / np.pi).astype(int)
-    radii = np.array((30.0, 0.7, 1.3, 2.0))[quarters]
-    points = (case.position + radii[:, None] * directions).astype(np.float32)
-    full = reference.lookahead(0.0, float(np.linalg.norm(case.goal - case.position)), config)
-    were_stuck, lengths = [], np.zeros(15)
-    for k in range(14):
-        # All remembered places are where the drone is.
-        depth = config.escape.radius * planner.history().place_count[0] if k > 0 else 0.0
-        were_stuck.append(depth > config.escape.guide_depth and gets_stuck)
-        state = VehicleState(case.position, case.velocity, case.quaternion, time=0.1 * k)
-        plan = planner.plan(state, Goal(case.goal), points)
-        offsets = plan.anchors[:15].astype(np.float64) - case.position
-        in_body = offsets @ reference.rotation(reference.unit(case.quaternion))
-        rows, columns, border = reference.cell_indices(in_body, *plan.fine_range.shape)
-        free = plan.fine_range[rows, columns]
-        expected = [reference.clipped_length(full, r, config) if were_stuck[-1] else full for r in free]
-        lengths = np.linalg.norm(offsets, axis=1)
-        np.testing.assert_allclose(lengths[border > 1e-4], np.asarray(expected)[border > 1e-4], atol=2e-5)
-    assert not were_stuck[0] and were_stuck[-1] == gets_stuck
-    assert not gets_stuck or len(set(np.round(lengths, 3))) > 2  # the shortest, at a wall, and of full length
+    case.plan(planner)
+    expected = reference.lookahead(float(np.linalg.norm(case.goal - case.position)), config)
+    for endpoints in (planner.outputs.initial_endpoints, planner.outputs.anchors):
+        reached = np.linalg.norm(endpoints.numpy()[0, :15] - case.position, axis=1)
+        np.testing.assert_allclose(reached, expected, atol=2e-5)
 
 
 def test_a_goal_at_the_drone_holds_its_position(device: str):
     case = random_case(3, speed=0.0, count=0, tilt=0.0)
     case.goal = case.position
     case.acceleration = np.zeros(3)
-    plan = case.plan(Planner(config_of(), device=device))
-    np.testing.assert_allclose(plan.initial_endpoints, case.position[None].repeat(17, 0), atol=1e-5)
+    still = {f"sampling__variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
+    plan = case.plan(Planner(config_of(**still), device=device))
+    np.testing.assert_allclose(plan.initial_endpoints, case.position[None].repeat(16, 0), atol=1e-5)
     np.testing.assert_allclose(plan.anchors, plan.initial_endpoints, atol=1e-5)
     assert all(np.isfinite(array).all() for array in (plan.guides, plan.controls, plan.stage1_cost, plan.positions))
-    # A drone at rest at its goal stays there.
-    assert np.linalg.norm(plan.positions[plan.best] - case.position, axis=1).max() < 0.1
+    # A drone at rest at its goal stays there, but for what is sampled.
+    assert np.linalg.norm(plan.positions[plan.best] - case.position, axis=1).max() < 1e-3
 
 
 def test_a_near_goal_is_the_middle_anchor(device: str):

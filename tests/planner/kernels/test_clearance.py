@@ -20,7 +20,7 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
     steps, costs = config.sampling.steps, config.costs
     flown = reference.clearance(samples[:, :steps].reshape(-1, 3)[::7], kept_points(plan), d_max)
     away = (np.abs(flown[:, None] - (costs.distance_min, d_max)) > 1e-4).all(axis=1)  # from steps of the cost
-    expected = np.array([reference.J_col(d[None], config) for d in flown])
+    expected = reference.J_col(flown, config)
     # 2e-5 m at the steepest slope, which is penalty / d_min or decay x penalty.
     slope = costs.penalty * max(costs.decay, 1.0 / costs.distance_min) + costs.soft_weight / (
         d_max - costs.distance_min
@@ -28,9 +28,9 @@ def check_against_brute_force(planner: Planner, case, config) -> None:
     np.testing.assert_allclose(cost[:, :steps].reshape(-1)[::7][away], expected[away], atol=4e-5 * slope, rtol=1e-5)
     if costs.q_blocked > 0.0:
         probed = reference.clearance(samples[:, steps:].reshape(-1, 3)[::7], kept_points(plan), 10.0)
-        away = np.abs(probed - costs.blocked_radius) > 1e-4
+        away = np.abs(probed - costs.distance_min) > 1e-4
         np.testing.assert_array_equal(
-            cost[:, steps:].reshape(-1)[::7][away], (probed < costs.blocked_radius)[away].astype(np.float32)
+            cost[:, steps:].reshape(-1)[::7][away], (probed < costs.distance_min)[away].astype(np.float32)
         )
 
 
@@ -49,18 +49,23 @@ _PLANNERS: dict[str, Planner] = {}
     seed=st.integers(0, 2**31),
     range_max=st.floats(1.0, 25.0),
     distance_max=st.floats(0.06, 5.0),
+    distance_min=st.floats(0.1, 0.9),
     safe_clearance=st.floats(0.0, 5.0),
-    blocked_radius=st.floats(0.0, 5.0),
     speed=st.floats(0.0, 30.0),
 )
 def test_clearance_is_exact_for_any_grid(
-    device: str, seed: int, range_max: float, distance_max: float, safe_clearance: float, blocked_radius: float,
+    device: str,
+    seed: int,
+    range_max: float,
+    distance_max: float,
+    distance_min: float,
+    safe_clearance: float,
     speed: float,
-):  # fmt: skip
-    """Vary the width of the cells, and let rollouts leave the grid."""
+):
+    """Vary the width of the cells, and let rollouts leave the grid; `distance_min` is a share of `distance_max`."""
     config = config_of(
-        partition__range_max=range_max, costs__distance_max=distance_max, costs__distance_min=0.05,
-        candidates__safe_clearance=safe_clearance, costs__blocked_radius=blocked_radius, sampling__samples=8,
+        partition__range_max=range_max, costs__distance_max=distance_max,
+        costs__distance_min=distance_min * distance_max, candidates__safe_clearance=safe_clearance, sampling__samples=8,
     )  # fmt: skip
     planner = _PLANNERS.setdefault(device, Planner(config, device=device))
     planner.configure(config)

@@ -19,17 +19,10 @@ def away_from_borders(case: Case, rows: int, columns: int) -> Case:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("shape", [(6, 10, 20), (3, 7, 16)])
-def test_fine_ranges_and_filtered_points(device: str, seed: int, shape: tuple[int, int, int]):
-    pool, coarse_rows, coarse_columns = shape
-    rows, columns = pool * coarse_rows, pool * coarse_columns
-    config = config_of(
-        partition__fine_cells=pool,
-        partition__coarse_rows=coarse_rows,
-        partition__coarse_columns=coarse_columns,
-        partition__continue_below=0.0,
-        partition__continue_above=0.0,
-    )
+@pytest.mark.parametrize("pool", [6, 3])
+def test_fine_ranges_and_filtered_points(device: str, seed: int, pool: int):
+    rows, columns = 10 * pool, 20 * pool
+    config = config_of(partition__fine_cells=pool, unseen_space__continuation=0.0)
     case = away_from_borders(random_case(seed, count=4000), rows, columns)
     plan = case.plan(Planner(config, device=device))
     part = config.partition
@@ -45,7 +38,7 @@ def test_fine_ranges_and_filtered_points(device: str, seed: int, shape: tuple[in
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_coarse_cells_keep_the_safest_direction_nearest_to_the_one_refined(device: str, seed: int):
-    config = config_of(partition__continue_below=0.0, partition__continue_above=0.0)
+    config = config_of(unseen_space__continuation=0.0)
     # Few points leave many cells tied at range_max.
     case = random_case(seed, count=150)
     plan = case.plan(Planner(config, device=device))
@@ -74,7 +67,7 @@ def test_the_maximum_wins_over_the_nearest_direction(device: str):
     ranges = np.full(36, 4.0)
     ranges[35] = 6.0  # the corner farthest from the goal's direction
     case.points = (directions * ranges[:, None]).astype(np.float32)
-    config = config_of(partition__fine_cells=6, partition__continue_below=0.0, partition__continue_above=0.0)
+    config = config_of(partition__fine_cells=6, unseen_space__continuation=0.0)
     plan = case.plan(Planner(config, device=device))
     assert plan.safe_range[5, 10] == pytest.approx(6.0, abs=1e-5)
     np.testing.assert_allclose(plan.safe_direction[5, 10], directions[35], atol=1e-6)
@@ -85,7 +78,7 @@ def test_the_maximum_wins_over_the_nearest_direction(device: str):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_empty_cloud(device: str, seed: int):
     case = random_case(seed, count=0)
-    plan = case.plan(Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device))
+    plan = case.plan(Planner(config_of(unseen_space__continuation=0.0), device=device))
     assert kept_points(plan).shape == (0, 3) and plan.dropped_points == 0
     assert (plan.fine_range == 10.0).all() and (plan.safe_range == 10.0).all()
     assert (plan.collision_cost == 0.0).all()
@@ -95,14 +88,14 @@ def test_empty_cloud(device: str, seed: int):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_points_that_are_not_finite_are_dropped_and_counted(device: str, seed: int):
     rng, case = np.random.default_rng(seed), random_case(seed)
-    clean = case.plan(Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device))
+    clean = case.plan(Planner(config_of(unseen_space__continuation=0.0), device=device))
     bad = np.full((40, 3), np.nan, np.float32)
     bad[10:] = case.points[rng.integers(len(case.points), size=30)]
     bad[np.arange(10, 40), rng.integers(3, size=30)] = rng.choice([np.nan, np.inf, -np.inf], 30)
     # Finite, but their squared range is not.
     huge = np.full((5, 3), 3e38, np.float32)
     case.points = np.concatenate((bad, case.points, huge))
-    dirty = case.plan(Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device))
+    dirty = case.plan(Planner(config_of(unseen_space__continuation=0.0), device=device))
     assert (clean.dropped_points, dirty.dropped_points) == (0, 40)
     np.testing.assert_array_equal(clean.fine_range, dirty.fine_range)
     np.testing.assert_array_equal(clean.filtered_points, dirty.filtered_points)
@@ -112,7 +105,7 @@ def test_points_that_are_not_finite_are_dropped_and_counted(device: str, seed: i
 def test_points_outside_range_min_and_range_max_are_ignored(device: str):
     # Axis-aligned, so that the ranges are exact.
     points = np.array([[2.0, 0, 0], [0, 8.0, 0], [-1.75, 0, 0], [0, -8.25, 0]], np.float32)
-    config = config_of(partition__range_min=2.0, partition__range_max=8.0)
+    config = config_of(partition__range_min=2.0, partition__range_max=8.0, anchors__lookahead=3.0)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
     plan = case.plan(Planner(config, device=device))
@@ -126,9 +119,7 @@ def test_equal_ranges_take_the_first_point(device: str):
     case.position, case.quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
     for points in ([a, b], [b, a]):
         case.points = np.array(points, np.float32)
-        plan = case.plan(
-            Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device)
-        )
+        plan = case.plan(Planner(config_of(unseen_space__continuation=0.0), device=device))
         np.testing.assert_array_equal(kept_points(plan), [points[0]])
 
 
@@ -136,7 +127,7 @@ def test_points_on_the_poles_and_the_seam(device: str):
     points = np.array([[0, 0, 3], [0, 0, -3], [-3, 0, 0.01], [-3, -0.0, 0.01]], np.float32)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
-    config = config_of(partition__fine_cells=6, partition__continue_below=0.0, partition__continue_above=0.0)
+    config = config_of(partition__fine_cells=6, unseen_space__continuation=0.0)
     plan = case.plan(Planner(config, device=device))
     occupied = np.argwhere(plan.fine_range < 10.0)
     assert {row for row, _ in occupied} == {0, 30, 59}
@@ -151,7 +142,7 @@ def test_partition_turns_with_the_body(device: str, seed: int):
     case.position = np.zeros(3)
     case.points = random_case(seed).points - random_case(seed).position.astype(np.float32)
     case = away_from_borders(case, 60, 120)
-    planner = Planner(config_of(partition__continue_below=0.0, partition__continue_above=0.0), device=device)
+    planner = Planner(config_of(unseen_space__continuation=0.0), device=device)
     before = case.plan(planner)
     turn = random_quaternion(rng)
     R = reference.rotation(reference.unit(turn))

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
 from aero_planner.array_memory import array
+from aero_planner.config import PlannerConfig
 from aero_planner.device.records import bundle
 from aero_planner.kernels.sweep_change import RECENT
+from aero_planner.plan import MovingObstacles
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Hooks, Launches, Stage
 from aero_planner.stages.moving_obstacles import segments, tracks
@@ -100,11 +103,19 @@ def _tracks(r: Recorder) -> object:
     return r.bind(tracks.Tracks, "moving_obstacles")
 
 
+def _moving(values: Any, config: PlannerConfig, batched: bool) -> MovingObstacles | None:
+    """Return the dynamic obstacles; None for a batch."""
+    count = int(values["dynamic_count"][0])
+    names = ("dynamic_position", "dynamic_velocity", "dynamic_radius")
+    return None if batched else MovingObstacles(*(values[name][0, :count] for name in names))
+
+
 STAGE = Stage(
     name="moving_obstacles",
     label="Moving obstacles",
     arrays=Arrays,
     outputs=Outputs,
+    reports={"moving": _moving},
     view=tracks.DynamicObstacles,
     hooks=Hooks(clearance=tracks.clear_of_obstacles),
     launches={"arrival": _track, "beside": _place},

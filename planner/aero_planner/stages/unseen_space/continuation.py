@@ -26,6 +26,8 @@ _LEAST_FLAT = wp.constant(0.2)
 """Cosine of the steepest elevation to which surfaces are continued."""
 _SAME_SURFACE = wp.constant(0.1)
 """Difference in horizontal distance from one row to the next within a surface, which may lean [m]."""
+CONTINUED = wp.constant(2)
+"""Value of `occupied` in cells into which a surface is continued."""
 READ_ROWS = wp.constant(16)
 """Cells of a column that are read together, so that a GPU waits for memory once for all of them."""
 _Surfaces = wp.types.matrix(shape=(READ_ROWS, 2), dtype=wp.float32)
@@ -222,7 +224,7 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
     ):
         """Fill empty cells with the continuation of a surface, by at most `continuation`.
 
-        Filled cells are marked by `occupied` = 2. Launched over [B, threads], see `cells_of_thread`.
+        Filled cells are marked as CONTINUED. Launched over [B, threads], see `cells_of_thread`.
         """
         b, thread = wp.tid()
         c = params[b]
@@ -249,6 +251,6 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
                 if is_near and cells.occupied[b, cell] != 1:
                     cells.range[b, cell] = distance
                     cells.points[b, cell] = origin + distance * wp.vec3(dx[j], dy[j], dz[j])
-                    cells.occupied[b, cell] = 2
+                    cells.occupied[b, cell] = CONTINUED
 
     return tuning.set_options(continue_surfaces)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from aero_planner.array_memory import array
+from aero_planner.config import PlannerConfig
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Launches, Stage
 from aero_planner.stages.unseen_space import continuation
-from aero_planner.stages.unseen_space.continuation import READ_ROWS
+from aero_planner.stages.unseen_space.continuation import CONTINUED, READ_ROWS
 
 _NAME = "unseen_space"
 
@@ -58,6 +61,17 @@ def _continue(r: Recorder) -> list[list[Launches]]:
     ]
 
 
+def _continued_cells(values: Any, config: PlannerConfig, batched: bool) -> NDArray[np.bool_]:
+    """Return True for each fine cell whose range is that of a continued surface, shape [B, rows, columns]."""
+    cells = (values["occupied"] == int(CONTINUED)).reshape(-1, *config.fine_shape)
+    return cells if batched else cells[0]
+
+
 STAGE = Stage(
-    name=_NAME, label="Unseen space", arrays=Arrays, symbols=_symbols, launches={"start": _follow, "cells": _continue}
+    name=_NAME,
+    label="Unseen space",
+    arrays=Arrays,
+    reports={"continued_cells": _continued_cells},
+    symbols=_symbols,
+    launches={"start": _follow, "cells": _continue},
 )

@@ -24,7 +24,7 @@ class Arrays:
         wp.vec3, "B", "m", "Goal for which they are remembered, world frame.", kept="plans", initial=math.inf
     )
     place_nearest: wp.array = array(
-        wp.float32, "B", "m", "Distance to the goal when progress was last made.", kept="plans"
+        wp.float32, "B", "m", "Distance to the goal when progress was last made; 0 after an arrival.", kept="plans"
     )
     place_idle: wp.array = array(
         wp.float32, "B", "s", "Time since then, or since a place was remembered.", kept="plans"

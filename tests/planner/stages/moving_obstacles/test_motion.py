@@ -5,18 +5,17 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from numpy.typing import NDArray
 
 from aero_planner import Planner, Sweeps, VehicleState
 from tests.planner.cases import assert_same, config_of
-from tests.planner.pillars import GOAL, RADIUS, movers_of, plan_from, sweeps_of
+from tests.planner.pillars import GOAL, RADIUS, dynamic_obstacles, plan_from, sweeps_of
 
 
 @pytest.mark.parametrize("own", [(0.0, 0.0, 0.0), (4.0, 0.0, 0.5)])
 @pytest.mark.parametrize("velocity", [(1.0, 0.0), (-1.2, 1.2), (0.0, 2.0), (-0.6, -0.4)])
 def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float], own: tuple[float, float, float]):
     planner, axis = Planner(config_of(), device=device), np.array([5.0, 1.0])
-    positions, velocities, radii = movers_of(
+    positions, velocities, radii = dynamic_obstacles(
         plan_from(planner, *sweeps_of([(axis, np.array(velocity))], np.array(own)), later=0.04)
     )
     assert len(positions) == 1
@@ -28,7 +27,7 @@ def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float]
 def test_sweeps_of_a_fast_planner_show_the_motion(device: str):
     """A node that plans at 30 Hz makes a sweep of what it has received since the plan before."""
     planner, axis, velocity = Planner(config_of(), device=device), np.array([5.0, 1.0]), np.array([0.0, 0.8])
-    positions, velocities, _ = movers_of(
+    positions, velocities, _ = dynamic_obstacles(
         plan_from(planner, *sweeps_of([(axis, velocity)], np.array([2.0, 0.0, 0.0]), count=24, period=0.033))
     )
     np.testing.assert_allclose(velocities, [velocity], atol=0.15)
@@ -41,7 +40,7 @@ def test_pillars_that_stand_do_not_move(device: str, own: tuple[float, float, fl
     planner = Planner(config_of(), device=device)
     places = [(3.0, 1.5), (6.0, 2.6), (4.0, -2.0), (7.0, -2.8), (-3.0, 2.0), (-6.0, 3.6)]
     pillars = [(np.array(place), np.zeros(2)) for place in places]
-    assert len(movers_of(plan_from(planner, *sweeps_of(pillars, np.array(own))))[0]) == 0
+    assert len(dynamic_obstacles(plan_from(planner, *sweeps_of(pillars, np.array(own))))[0]) == 0
 
 
 def test_a_pillar_is_followed_while_it_is_hidden(device: str):
@@ -51,43 +50,19 @@ def test_a_pillar_is_followed_while_it_is_hidden(device: str):
     for k, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
         points = points if k < len(sweeps) - 2 else np.zeros((0, 3), np.float32)
         hidden = hidden.add(points, limit=30, arrival=arrival)
-    positions, velocities, _ = movers_of(plan_from(planner, hidden, position))
+    positions, velocities, _ = dynamic_obstacles(plan_from(planner, hidden, position))
     np.testing.assert_allclose(positions, [axis], atol=0.12)
     np.testing.assert_allclose(velocities, [velocity], atol=0.15)
 
 
-def wall(distance: float) -> NDArray[np.float32]:
-    """Return points of a wall across the way, 4 m wide."""
-    y, z = np.meshgrid(np.linspace(-2.0, 2.0, 160), np.linspace(-0.4, 0.8, 7))
-    return np.column_stack((np.full(y.size, distance), y.ravel(), z.ravel())).astype(np.float32)
-
-
-@pytest.mark.parametrize(("distance", "hidden", "count"), [(2.5, 7, 1), (8.0, 7, 0), (2.5, 12, 0)])
-def test_a_pillar_goes_on_for_a_second_behind_others_but_not_through_free_space(
-    device: str, distance: float, hidden: int, count: int
-):
-    axis, velocity = np.array([5.0, 0.8]), np.array([0.0, 0.8])
-    sweeps, position = sweeps_of([(axis, velocity)], np.zeros(3), count=22)
-    last = Sweeps(
-        [points if k < len(sweeps) - hidden else wall(distance) for k, points in enumerate(sweeps)],
-        arrivals=sweeps.arrivals,
-    )
-    positions, velocities, _ = movers_of(
-        plan_from(Planner(config_of(partition__predict_memory=True), device=device), last, position)
-    )
-    assert len(positions) == count
-    np.testing.assert_allclose(positions, [axis] * count if count else np.zeros((0, 2)), atol=0.15)
-    np.testing.assert_allclose(velocities, [velocity] * count if count else np.zeros((0, 2)), atol=0.15)
-
-
 def test_the_clearance_is_that_of_the_predicted_pillar(device: str):
-    planner = Planner(config_of(partition__predict_growth=0.2, costs__distance_max=3.0), device=device)
+    planner = Planner(config_of(costs__distance_max=3.0), device=device)
     sweeps, position = sweeps_of([(np.array([3.0, 2.0]), np.array([0.0, -1.5]))], np.zeros(3))
     plan = plan_from(planner, sweeps, position)
-    positions, velocities, radii = movers_of(plan)
+    positions, velocities, radii = dynamic_obstacles(plan)
     x, config = plan.positions[:, 1:].astype(np.float64), planner.config
     t = config.sampling.dt * np.arange(1, x.shape[1] + 1)
-    gap = np.linalg.norm(x[..., :2] - positions[0] - t[:, None] * velocities[0], axis=-1) - radii[0] - 0.2 * t
+    gap = np.linalg.norm(x[..., :2] - positions[0] - t[:, None] * velocities[0], axis=-1) - radii[0] - 0.1 * t
     points = np.asarray(plan.filtered_points, dtype=np.float64)
     nearest = np.linalg.norm(x[..., None, :] - points, axis=-1).min(axis=-1)
     expected = np.minimum(np.minimum(nearest, np.maximum(gap, 0.0)), config.costs.distance_max)
@@ -100,21 +75,20 @@ def test_plans_start_after_the_delay(device: str):
     found = []
     for delay in (0.0, 0.2):
         planner = Planner(config_of(vehicle__delay=delay), device=device)
-        found.append(movers_of(plan_from(planner, sweeps, position)))
+        found.append(dynamic_obstacles(plan_from(planner, sweeps, position)))
     np.testing.assert_allclose(found[1][0] - found[0][0], 0.2 * found[0][1], atol=1e-5)
 
 
-@pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}])
-def test_nothing_moves_if_it_is_not_looked_for(device: str, changes: dict[str, Any]):
-    planner = Planner(config_of(**changes), device=device)
+def test_nothing_moves_if_it_is_not_looked_for(device: str):
+    planner = Planner(config_of(moving_obstacles__predict=False), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
-    assert len(movers_of(plan_from(planner, sweeps, position))[0]) == 0
+    assert len(dynamic_obstacles(plan_from(planner, sweeps, position))[0]) == 0
 
 
 def test_old_sweeps_show_no_motion(device: str):
     planner = Planner(config_of(), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
-    assert len(movers_of(plan_from(planner, sweeps, position, later=0.6))[0]) == 0
+    assert len(dynamic_obstacles(plan_from(planner, sweeps, position, later=0.6))[0]) == 0
 
 
 @pytest.mark.parametrize(("count", "limit", "whole"), [(10, 30, None), (26, 20, 12)])
@@ -122,7 +96,7 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: 
     """A planner that is given all sweeps at once plans as one that they reached one by one: a flight can be rewound."""
     pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.4]), count=count)
-    one_by_one, at_once = (Planner(config_of(partition__predict_memory=True), device=device, seed=1) for _ in range(2))
+    one_by_one, at_once = (Planner(config_of(), device=device, seed=1) for _ in range(2))
     part = Sweeps(whole=whole)
     for points, arrival in zip(sweeps, sweeps.arrivals, strict=True):
         part = part.add(points, limit=limit, arrival=arrival)
@@ -130,15 +104,13 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: 
     one_by_one.reset()
     expected = plan_from(at_once, Sweeps(part, whole=whole, arrivals=part.arrivals), position)
     assert_same(plan_from(one_by_one, part, position), expected)
-    assert len(movers_of(expected)[0]) == 1
+    assert len(dynamic_obstacles(expected)[0]) == 1
 
 
 def test_stored_sweeps_show_the_same_motion(device: str):
     pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.0]), count=12)
-    single, batch = (
-        Planner(config_of(partition__predict_memory=True), device=device, batch=batch) for batch in (None, 2)
-    )
+    single, batch = (Planner(config_of(), device=device, batch=batch) for batch in (None, 2))
     plan_from(single, sweeps, position)
     batch.reserve_sweeps(len(sweeps), sum(map(len, sweeps)))
     for row, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
@@ -151,28 +123,29 @@ def test_stored_sweeps_show_the_same_motion(device: str):
     batch.inputs.quaternion.assign(np.array([[1.0, 0.0, 0.0, 0.0]] * 2, np.float32))
     batch.launch()
     for b in range(2):
-        np.testing.assert_array_equal(batch.outputs.mover_count.numpy()[b], 1)
-        for name in ("mover_position", "mover_velocity", "mover_radius"):
-            ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
-            np.testing.assert_array_equal(ours[b, 0], expected[0, 0])
+        found, expected = (planner.arrays_of("moving_obstacles") for planner in (batch, single))
+        assert found["dynamic_count"].numpy()[b] == expected["dynamic_count"].numpy()[0] == 1
+        for name in ("dynamic_position", "dynamic_velocity", "dynamic_radius"):
+            np.testing.assert_array_equal(found[name].numpy()[b, 0], expected[name].numpy()[0, 0])
         for name in ("occupied", "fine_range"):
             ours, expected = (getattr(planner.outputs, name).numpy() for planner in (batch, single))
             np.testing.assert_array_equal(ours[b], expected[0])
 
 
-@pytest.mark.parametrize("changes", [{"partition__predict": False}, {"partition__predict_speed": 1.5}, None])
+@pytest.mark.parametrize("changes", [{"moving_obstacles__predict": False}, {"costs__q_track": 9.0}, None])
 def test_the_same_sweeps_show_the_motion_again(device: str, changes: dict[str, Any] | None):
     """A paused flight is planned with other parameters and back, and a planner may get a joined cloud meanwhile."""
     planner = Planner(config_of(), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
-    first = movers_of(plan_from(planner, sweeps, position))
+    first = dynamic_obstacles(plan_from(planner, sweeps, position))
     assert len(first[0]) == 1
     if changes is None:
         state = VehicleState(position, np.zeros(3), (1.0, 0.0, 0.0, 0.0), time=1.7)
-        assert len(movers_of(planner.plan(state, GOAL, sweeps.points))[0]) == 0
+        assert len(dynamic_obstacles(planner.plan(state, GOAL, sweeps.points))[0]) == 0
     else:
         planner.configure(config_of(**changes))
-        assert len(movers_of(plan_from(planner, sweeps, position))[0]) == 0
+        count = len(dynamic_obstacles(plan_from(planner, sweeps, position))[0])
+        assert count == ("moving_obstacles__predict" not in changes)
         planner.configure(config_of())
-    for found, expected in zip(movers_of(plan_from(planner, sweeps, position)), first, strict=True):
+    for found, expected in zip(dynamic_obstacles(plan_from(planner, sweeps, position)), first, strict=True):
         np.testing.assert_array_equal(found, expected)

@@ -5,14 +5,21 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.motion import BINS, BLOCK, Circles, Segments, find_segments, list_segments
-from aero_planner.kernels.movers import MOVERS
 from aero_planner.device.params import Params, pack
 from aero_planner.device.records import CloudSweeps, bundle
 from aero_planner.kernels.sweep_change import RECENT
+from aero_planner.stages.moving_obstacles.segments import (
+    BINS,
+    BLOCK,
+    TRACKS,
+    Circles,
+    Segments,
+    find_segments,
+    list_segments,
+)
 from tests.planner.cases import change_of_sweeps, config_of
 
-L, A, X = int(RECENT), int(BINS), int(MOVERS)
+L, A, X = int(RECENT), int(BINS), int(TRACKS)
 JUMP, GAP, LEAST_BINS, LARGEST_SINE = 0.3, 2, 3, 0.7
 WIDTH_MAX = 1.6
 
@@ -33,7 +40,7 @@ def circles_of(scans: NDArray[np.float32], device: str) -> list[NDArray[np.float
         center=wp.zeros((1, L, X), dtype=wp.vec2, device=device),
         radius=wp.empty((1, L, X), dtype=float, device=device),
     )
-    params = wp.array(np.array([pack(config_of(partition__predict_width=WIDTH_MAX))]), dtype=Params, device=device)
+    params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
     change = change_of_sweeps(range(L), device)
     inputs = [change, bundle(CloudSweeps, origin=origin), params, wp.array(entries, device=device)]
     wp.launch(find_segments, (1, L, A), inputs=inputs, outputs=[circles], device=device)

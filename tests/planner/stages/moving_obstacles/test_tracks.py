@@ -7,12 +7,11 @@ import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.motion import BINS, Segments
-from aero_planner.kernels.movers import MOVERS
 from aero_planner.device.params import Params, pack
 from aero_planner.device.records import CloudSweeps, bundle
 from aero_planner.kernels.sweep_change import RECENT
-from aero_planner.kernels.tracks import LENGTH, STARTS, FoundTracks, follow_segments
+from aero_planner.stages.moving_obstacles.segments import BINS, TRACKS, Segments
+from aero_planner.stages.moving_obstacles.tracks import LENGTH, STARTS, FoundTracks, follow_segments
 from tests.planner.cases import change_of_sweeps, config_of
 from tests.planner.pillars import PERIOD
 
@@ -22,7 +21,7 @@ TIMES = 5.0 - PERIOD * np.arange(int(RECENT))
 
 def follow(centers: NDArray[np.float32], device: str, *, scan: NDArray[np.int32] | None = None) -> Any:
     """Follow circles of radius 0.3 m with these `centers` [m], [RECENT, n, 2], through scans from the origin."""
-    L, X, n = int(RECENT), int(MOVERS), centers.shape[1]
+    L, X, n = int(RECENT), int(TRACKS), centers.shape[1]
     padded = np.zeros((1, L, X, 2), np.float32)
     padded[0, :, :n] = centers
     segments = bundle(
