@@ -1,15 +1,17 @@
 """A vehicle that is commanded by its acceleration and yaw rate, as PX4's offboard mode and others take them.
 
 State x = [p, q, v, a], control u = (a_c, psi_rate): dp = v, dv = a + d - k v, and the acceleration a in effect follows
-the command a_c with a bounded jerk. The autopilot turns the thrust to a - g; q is that attitude, with its yaw psi. The
-bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk of rate_xy_max |g|, by which the
-thrust vector turns at its largest rate in hover.
+the command a_c: da = (a_c - a) / tau. The autopilot turns the thrust to a - g; q is that attitude, with its yaw psi.
+Along x and y, tau is the time constant of its attitude control, plus the lag of the body rates; along z it is the lag of
+the thrust. The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk along x and y of at
+most rate_xy_max |g|, by which the thrust vector turns at its largest rate in hover.
 """
 
 # Postponed annotations are left out: Warp structs need the types themselves.
 
 import warp as wp
 
+from aero_planner.device.lag import lag_share
 from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, force_at, guide_force
 from aero_planner.device.rotations import quat_multiply
@@ -17,6 +19,8 @@ from aero_planner.models.vehicle_model import VehicleModel
 
 wp.set_module_options({"enable_backward": False})
 
+_ATTITUDE_LAG = wp.constant(0.08)
+"""Time constant of the attitude control of flight stacks [s]: their gains from attitude to rates are 6 to 15 1/s."""
 _TILT_TIME = wp.constant(0.2)
 """Time for which noise of the tilt rates of a quadrotor would act to give the noise of the acceleration [s]."""
 
@@ -26,7 +30,9 @@ class Constants:
     """What is constant over all steps of a rollout."""
 
     dt: float  # [s]
-    jerk: float  # largest change of the acceleration in a step [m/s^2]
+    lag: float  # tau along x and y [s]
+    reach: wp.vec3  # how far the acceleration goes toward the command in a step, see `reach_in`
+    climb_share: float  # mean share of the difference along z that remains in a step
     gravity: float  # [m/s^2]
     disturbance: wp.vec3  # d, world frame [m/s^2]
     drag: float  # k [1/s]
@@ -56,17 +62,34 @@ def noise(params: Params) -> wp.vec4:
 
 
 @wp.func
-def toward(a: wp.vec4, u: wp.vec4, change: float) -> wp.vec4:
-    """Return the acceleration a after it has gone toward u by at most `change`, with the yaw rate of u."""
-    d = wp.vec3(u[0] - a[0], u[1] - a[1], u[2] - a[2])
-    d = wp.min(1.0, change / wp.max(wp.length(d), 1.0e-6)) * d
-    return wp.vec4(a[0] + d[0], a[1] + d[1], a[2] + d[2], u[3])
+def level_lag(params: Params) -> float:
+    """Return tau along x and y [s]."""
+    return _ATTITUDE_LAG + params.rate_lag
+
+
+@wp.func
+def reach_in(time: float, params: Params) -> wp.vec3:
+    """Return how far the acceleration goes toward its command in a time [s].
+
+    It goes a share of the way along x and y, at most so far [m/s^2], and a share of the way along z.
+    """
+    level = 1.0 - lag_share(level_lag(params), time)
+    return wp.vec3(level, time * params.rate_xy_max * params.gravity, 1.0 - lag_share(params.thrust_lag, time))
+
+
+@wp.func
+def toward(a: wp.vec4, u: wp.vec4, reach: wp.vec3) -> wp.vec4:
+    """Return the acceleration a after it has gone toward u as far as `reach_in` says, with the yaw rate of u."""
+    x = u[0] - a[0]
+    y = u[1] - a[1]
+    level = wp.min(reach[0], reach[1] / wp.max(wp.sqrt(x * x + y * y), 1.0e-6))
+    return wp.vec4(a[0] + level * x, a[1] + level * y, a[2] + reach[2] * (u[2] - a[2]), u[3])
 
 
 @wp.func
 def respond(u: wp.vec4, acting: wp.vec4, time: float, params: Params) -> wp.vec4:
     """Return the acceleration in effect after u was commanded for a time [s]."""
-    return toward(acting, u, time * params.rate_xy_max * params.gravity)
+    return toward(acting, u, reach_in(time, params))
 
 
 @wp.func
@@ -74,7 +97,9 @@ def constants(disturbance: wp.vec3, drag: float, dt: float, params: Params) -> C
     """Return the constants of steps of dt [s]."""
     k = Constants()
     k.dt = dt
-    k.jerk = dt * params.rate_xy_max * params.gravity
+    k.lag = level_lag(params)
+    k.reach = reach_in(dt, params)
+    k.climb_share = params.thrust_lag * k.reach[2] / dt
     k.gravity = params.gravity
     k.disturbance = disturbance
     k.drag = drag
@@ -94,10 +119,11 @@ def attitude(a: wp.vec4, q: wp.vec4, k: Constants) -> wp.vec4:
 
 @wp.func
 def step(p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, u: wp.vec4, k: Constants):
-    """Return p, v, q and the acceleration in effect after a step, at the mean of the accelerations before and after."""
-    after = toward(acting, u, k.jerk)
-    mean = wp.vec3(acting[0] + after[0], acting[1] + after[1], acting[2] + after[2])
-    a = 0.5 * mean + k.disturbance - k.drag * v
+    """Return p, v, q and the acceleration in effect after a step, at the mean acceleration in it."""
+    after = toward(acting, u, k.reach)
+    climb = u[2] + k.climb_share * (acting[2] - u[2])
+    mean = wp.vec3(0.5 * (acting[0] + after[0]), 0.5 * (acting[1] + after[1]), climb)
+    a = mean + k.disturbance - k.drag * v
     return p + k.dt * v + (0.5 * k.dt * k.dt) * a, v + k.dt * a, attitude(after, q, k), after
 
 
@@ -112,9 +138,12 @@ def follow(
     p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
     params: Params,
 ) -> wp.vec4:  # fmt: skip
-    """Return the acceleration of a guide at the end of the step, less disturbance and drag."""
-    a = force_at(guide_force(guide, k.disturbance, k.drag), wp.min(time + k.dt, guide.T))
-    return clamp(wp.vec4(a[0], a[1], a[2], yaw_rate), params)
+    """Return the acceleration, less disturbance and drag, that a guide has by the time at which it is in effect."""
+    force = guide_force(guide, k.disturbance, k.drag)
+    middle = time + 0.5 * k.dt
+    level = force_at(force, wp.min(middle + k.lag, guide.T))
+    climb = force_at(force, wp.min(middle + params.thrust_lag, guide.T))
+    return clamp(wp.vec4(level[0], level[1], climb[2], yaw_rate), params)
 
 
 ACCELERATION = VehicleModel(
