@@ -12,6 +12,13 @@ from aero_planner.config import ParameterInfo, PlannerConfig
 _LIVE: tuple[ParameterInfo, ...] = tuple(info for info in PlannerConfig.parameters() if info.live)
 
 
+for _info in _LIVE:
+    if (_same := next(info for info in _LIVE if info.name == _info.name)) is not _info:
+        raise ValueError(
+            f"{_same.path} and {_info.path} have the same name; kernels read live parameters by it: rename one of them."
+        )
+
+
 def _warp_type(info: ParameterInfo) -> Any:
     return wp.int32 if info.choices or isinstance(info.default, bool | int) else wp.float32
 

@@ -40,11 +40,20 @@ class Constants:
 
 @wp.func
 def clamp(u: wp.vec4, params: Params) -> wp.vec4:
-    """Return u with the thrust per mass a - g within its bounds, upward, and the yaw rate within its."""
+    """Return u with the thrust per mass a - g and the yaw rate within their bounds.
+
+    A thrust that is too large keeps its direction, unless that leaves less than the smallest thrust upward.
+    """
     lowest = params.thrust_min / params.mass
+    largest = params.thrust_max / params.mass
     f = wp.vec3(u[0], u[1], wp.max(u[2] + params.gravity, lowest))
-    f = wp.min(1.0, params.thrust_max / (params.mass * wp.max(wp.length(f), 1.0e-6))) * f
-    return wp.vec4(f[0], f[1], f[2] - params.gravity, wp.clamp(u[3], -params.rate_z_max, params.rate_z_max))
+    f = wp.min(1.0, largest / wp.max(wp.length(f), 1.0e-6)) * f
+    up = wp.max(f[2], lowest)
+    level = wp.sqrt(wp.max(largest * largest - up * up, 0.0) / wp.max(f[0] * f[0] + f[1] * f[1], 1.0e-12))
+    level = wp.min(1.0, level)
+    return wp.vec4(
+        level * f[0], level * f[1], up - params.gravity, wp.clamp(u[3], -params.rate_z_max, params.rate_z_max)
+    )
 
 
 @wp.func

@@ -157,7 +157,8 @@ def test_their_rollouts_are_those_of_the_plan(situation: Situation, terms: CostT
 
 
 def test_each_is_its_equation(situation: Situation, terms: CostTerms):
-    planner, plan, (p_goal, v_goal, q_goal) = situation.planner, situation.plan, situation.goal
+    planner, plan, (p_goal, v_goal, _) = situation.planner, situation.plan, situation.goal
+    q_goal = planner.workspace.goal_quaternion.numpy()[0].astype(np.float64)  # test_anchors checks it
     config, work, M = planner.config, planner.workspace, len(situation.plan.kinds)
     start = {name: getattr(work, name).numpy()[0].astype(np.float64) for name in (
         "position", "velocity", "quaternion", "command", "control",

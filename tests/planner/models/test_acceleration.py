@@ -97,7 +97,7 @@ def test_controls_are_bounded_by_thrust_and_yaw_rate(device: str, changes: dict[
     f = u[:, :3] + [0.0, 0.0, v.gravity]
     thrust = v.mass * np.linalg.norm(f, axis=1)
     assert thrust.max() <= v.thrust_max * 1.0001 and thrust.min() >= v.thrust_min * 0.9999
-    assert (v.mass * f[:, 2] > 0.0).all()
+    assert (v.mass * f[:, 2] >= v.thrust_min * 0.9999).all()
     np.testing.assert_allclose(u[:, 3], np.clip(wanted[:, 3], -v.rate_z_max, v.rate_z_max), rtol=1e-6)
     # Within the bounds nothing changes; a thrust that is too large keeps its direction.
     g = wanted[:, :3] + [0.0, 0.0, v.gravity]
@@ -107,6 +107,7 @@ def test_controls_are_bounded_by_thrust_and_yaw_rate(device: str, changes: dict[
     np.testing.assert_allclose(u[is_inside, :3], wanted[is_inside, :3], atol=1e-5)
     is_strong = is_up & (demanded > v.thrust_max)
     scaled = g * (v.thrust_max / demanded)[:, None]
+    is_strong &= v.mass * scaled[:, 2] >= v.thrust_min
     np.testing.assert_allclose(f[is_strong], scaled[is_strong], rtol=1e-4, atol=1e-4)
     assert is_inside.sum() > 20 and is_strong.sum() > 20
 
