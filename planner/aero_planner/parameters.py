@@ -253,9 +253,10 @@ class SectionedConfig:
 
     @classmethod
     def check_section(cls, name: Any) -> None:
-        """Raise ValueError, with the nearest known name, if there is no section `name`."""
+        """Raise ValueError, with the nearest known name, if there is no section `name`, and there was none."""
         known = cls.sections()
-        if name not in known:
+        earlier = {path.partition(".")[0] for path in (*cls.renamed, *cls.removed)}
+        if name not in known and name not in earlier:
             raise ValueError(f"unknown section {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}.")
 
     @classmethod

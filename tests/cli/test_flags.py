@@ -67,6 +67,32 @@ def test_flags_of_renamed_parameters_keep_their_old_spelling(
     assert "costs.gone is ignored: it had no effect" in caplog.text
 
 
+def test_flags_and_files_of_the_last_release_are_accepted_with_a_notice(tmp_path, caplog: pytest.LogCaptureFixture):
+    arguments = ["--escape.radius", "3", "--candidates.prove-stop", "off", "--vehicle.rate_xy_lag=0.07"]
+    assert replace_renamed_flags(arguments) == ["--way-out.radius", "3", "--vehicle.rate-lag=0.07"]
+    assert "escape.radius is now way_out.radius" in caplog.text
+    assert "candidates.prove_stop is ignored: stop_proof.prove_stop switches the stop proof" in caplog.text
+    caplog.clear()
+    file = tmp_path / "old.yaml"
+    file.write_text("escape:\n  radius: 3\n  guide_depth: 2.0\npartition:\n  view_min: -20\n")
+    expected = PlannerConfig().replace({"way_out.radius": 3.0, "unseen_space.view_min": -20.0})
+    assert flags(str(file)).load() == expected
+    assert "line 2: escape.radius is now way_out.radius" in caplog.text
+    assert "line 3: escape.guide_depth is ignored" in caplog.text
+
+
+def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str]):
+    planner = ConfigFlags().planner
+    sections = {"stages": type(planner.stages)(active="memory,way_out"), "vehicle": type(planner.vehicle)(model="ctbr")}
+    config = ConfigFlags("default", type(planner)(**sections)).load()
+    assert config.stages.names == ("way_out", "memory") and config.stages.active == "way_out, memory"
+    with pytest.raises(ValueError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
+        ConfigFlags("default", type(planner)(stages=type(planner.stages)(active="wayout"))).load()
+    code, text, _ = run(capsys, "fly", "--help")
+    assert code == 0 and "--vehicle.model {ctbr,acceleration" in terminal_text(text)
+    assert "inf]" not in terminal_text(text), "a text has no bounds"
+
+
 def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():
     def config_with(flags: FlightFlags, lidar: str) -> PlannerConfig:
         opener = flight_opener("wall", WorldFlags(), flags, PlannerConfig(), lidar=lidar, device="cpu")
