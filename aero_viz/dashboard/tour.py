@@ -97,7 +97,7 @@ STOPS = (
         "verticals",
         (
             "300 columns that it has never seen.",
-            "Points are what the LiDAR has measured: what is hidden behind a column is unknown.",
+            "Points are what the LiDAR has measured: what a column occludes is unknown.",
         ),
         layers=("rollouts", "cloud"),
         count=300,

@@ -139,6 +139,6 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
     if not contents.outcome:
         trace.missing.append("The log does not say how the flight ended: it was cut off, or a drone wrote it.")
     if source.info.world is None:
-        trace.missing.append("The log holds no world: obstacles have no names, and what was hidden is not known.")
+        trace.missing.append("The log holds no world: obstacles have no names, and what was occluded is not known.")
     trace.missing.append("Plans were computed again from the recorded clouds; their noise differs from the flight's.")
     return trace

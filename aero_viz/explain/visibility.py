@@ -37,7 +37,7 @@ class Seen:
     """Reason for its earlier absence from the cloud: "beyond range", "outside the field of view", "occluded",
     "forgotten" or "no ray hit it"; None if it always was there."""
     detail: str
-    """The same as a part of a sentence, such as "hidden by box 3 in 41 of 50 ticks"."""
+    """The same as a part of a sentence, such as "occluded by box 3 in 41 of 50 ticks"."""
 
 
 def find_seen(frames: Sequence[Frame], place: Array) -> Seen:
@@ -89,16 +89,16 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
     reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
     worlds = [frame.world for frame in frames]
-    hidden = _occluders(worlds, eyes, offset, distance)
+    occluders = _occluders(worlds, eyes, offset, distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:
             reasons.append("beyond range")
         elif not model.elevation_min <= elevation[i] <= model.elevation_max:
             reasons.append("outside the field of view")
-        elif hidden[i]:
+        elif occluders[i]:
             reasons.append("occluded")
-            names[hidden[i]] += 1
+            names[occluders[i]] += 1
         else:
             reasons.append("no ray hit it")
     reason, count = Counter(reasons).most_common(1)[0]
@@ -109,27 +109,27 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
             f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg in the frame of "
             f"the sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg"
         ),
-        "occluded": f"hidden by {names.most_common(1)[0][0] if names else 'something'}",
+        "occluded": f"occluded by {names.most_common(1)[0][0] if names else 'something'}",
         "no ray hit it": "in view, but no ray hit it",
     }[reason]
     return reason, f"{detail}, in {count} of the last {total} ticks"
 
 
 def _occluders(worlds: list[World | None], eyes: Array, offset: Array, distance: Array) -> list[str]:
-    """Return the name of the obstacle that hides a place from each eye, each in its world; empty if none does.
+    """Return the name of the obstacle that occludes a place from each eye, each in its world; empty if none does.
 
     `offset` leads from the eye to the place, `distance` is its length [m].
     """
     known = [world for world in worlds if world is not None]
     if len(known) < len(worlds):
         return [""] * len(eyes)
-    # An eye at the place itself has no direction to it; nothing hides the place from there.
+    # An eye at the place itself has no direction to it; nothing occludes the place from there.
     directions = offset / np.maximum(distance, 1e-9)[:, None]
     packed = DeviceWorlds(known)
     with wp.ScopedDevice("cpu"):
         origins, rays = wp.array(eyes, dtype=wp.vec3), wp.array(directions[:, None], dtype=wp.vec3)
         ranges = np.asarray(cast(packed, origins, rays).numpy())[:, 0]
-    is_hidden = ranges < distance - _NEAR
+    is_occluded = ranges < distance - _NEAR
     hits = eyes + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * directions
-    found = zip(known, hits, is_hidden, strict=True)
-    return [world.nearest(hit)[1] if hides else "" for world, hit, hides in found]
+    found = zip(known, hits, is_occluded, strict=True)
+    return [world.nearest(hit)[1] if occludes else "" for world, hit, occludes in found]

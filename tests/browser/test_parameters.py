@@ -68,13 +68,13 @@ def is_shown(desk: Desk, path: str) -> bool:
 def test_a_search_and_two_levels_narrow_the_parameters(tune):
     desk = tune
     desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "the basic parameters")
-    desk.wait_for(lambda: not is_shown(desk, "costs.soft_speed"), "no expert ones")
+    desk.wait_for(lambda: not is_shown(desk, "costs.decay"), "no expert ones")
     desk.choose("Show", "expert")
-    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
+    desk.wait_for(lambda: is_shown(desk, "costs.decay"), "every parameter")
     desk.choose("Show", "basic")
-    desk.control("Search").locator("input").fill("full weight")
+    desk.control("Search").locator("input").fill("decay rate")
     desk.wait_for(lambda: not is_shown(desk, "costs.q_position"), "others to be hidden")
-    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "an expert parameter to be found by its words")
+    desk.wait_for(lambda: is_shown(desk, "costs.decay"), "an expert parameter to be found by its words")
     desk.control("Search").locator("input").fill("q_p")
     desk.wait_for(lambda: is_shown(desk, "costs.q_position"), "a parameter to be found by its symbol")
     desk.control("Search").locator("input").fill("nonsense")
@@ -87,7 +87,7 @@ def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
     desk, session = tune, tune.session
     assert desk.page.locator(".aero-changed").count() == 0
     desk.enter(desk.parameter("costs.q_track").locator("input"), "7.5")
-    session.configure({"costs.soft_speed": session.config.costs.soft_speed + 1.0})
+    session.configure({"costs.decay": session.config.costs.decay + 1.0})
     desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 2, "two marks, one on an expert parameter")
     row = desk.control("was 3.0")
     row.get_by_role("button", name="reset").click()
@@ -96,13 +96,13 @@ def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
         lambda: float(desk.parameter("costs.q_track").locator("input").input_value()) == 3.0, "it to be shown"
     )
     desk.wait_for(lambda: desk.page.locator(".aero-changed").count() == 1, "one mark")
-    assert session.config.costs.soft_speed != PlannerConfig().costs.soft_speed, "the others stay"
+    assert session.config.costs.decay != PlannerConfig().costs.decay, "the others stay"
     flags = desk.page.locator(".aero-flags")
-    wanted = f"--costs.soft-speed {session.config.costs.soft_speed}"
+    wanted = f"--costs.decay {session.config.costs.decay}"
     desk.wait_for(lambda: flags.inner_text() == wanted, wanted)
     desk.page.get_by_role("button", name="copy yaml").click()
     desk.page.get_by_role("button", name="copied").wait_for()
-    assert "soft_speed" in desk.page.evaluate("getSelection().toString()")
+    assert "decay" in desk.page.evaluate("getSelection().toString()")
 
 
 def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
@@ -176,7 +176,7 @@ def test_a_preset_is_deleted_after_a_question(tune):
 def test_play_and_time_stay_in_view_while_the_parameters_scroll(tune):
     desk = tune
     desk.choose("Show", "expert")
-    desk.wait_for(lambda: is_shown(desk, "costs.soft_speed"), "every parameter")
+    desk.wait_for(lambda: is_shown(desk, "costs.decay"), "every parameter")
     last = desk.page.get_by_role("button", name="Apply", exact=True)
 
     def is_in_view() -> bool:

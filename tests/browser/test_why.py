@@ -14,7 +14,7 @@ from tests.explain.conftest import OPEN_ABOVE
 INSTANCE = 5
 LAYERS = ["rollouts", "selection", "anchors", "drone"]
 CONFIG = OPEN_ABOVE.replace({
-    "anchors.lookahead_rest": 2.5, "anchors.slow_cycle": 3, "candidates.brake_fan": 20.0, "escape.q_escape": 120.0,
+    "way_out.q_escape": 120.0,
     "costs.q_control": 0.25, "costs.q_position": 6.0, "costs.q_speed": 100.0, "partition.fine_cells": 6,
     "sampling.dt": 0.05, "sampling.temperature": 0.03, "sampling.variance_rate_xy": 1.0,
     "sampling.variance_thrust": 1.0, "candidates.brake_reach": 0.35, "costs.q_track": 5.0,
@@ -48,13 +48,13 @@ def test_nothing_is_computed_until_it_is_asked_for(desk):
 
 def test_a_number_below_the_bars_selects_an_instance_everywhere(desk):
     desk.checkbox("Explain the plan").click()
-    desk.wait_for(lambda: desk.page.locator(".aero-terms").count() == 17, "a bar for each instance")
+    desk.wait_for(lambda: desk.page.locator(".aero-terms").count() == 16, "a bar for each instance")
     desk.page.get_by_role("button", name=str(INSTANCE), exact=True).click()
     verdict = desk.page.locator(".aero-verdict")
     verdict.wait_for()
     assert "Instance 5" in verdict.inner_text()
     numbers = desk.page.locator(".aero-number")
-    assert numbers.all_inner_texts() == [str(m) for m in range(17)]
+    assert numbers.all_inner_texts() == [str(m) for m in range(16)]
     assert "font-weight: 700" in (numbers.nth(INSTANCE).get_attribute("style") or "").replace(":700", ": 700")
     assert desk.page.get_by_text("dashed:").count() == 1, "a label of the lines"
     assert desk.page.locator(".aero-plot").count() == 7 and desk.page.locator(".aero-weights").count() == 1

@@ -8,6 +8,7 @@ from command_line import run, terminal_text
 from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
 from aero_viz.cli.page import flight_opener
+from aero_viz.cli.renamed_flags import replace_renamed_flags
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.sensors import LIDARS
 
@@ -52,6 +53,32 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("costs:\n  q_track: 7\n")
     assert flags(str(file)).load().costs.use_ground
+
+
+def test_flags_and_files_of_the_last_release_are_accepted_with_a_notice(tmp_path, caplog: pytest.LogCaptureFixture):
+    arguments = ["--escape.radius", "3", "--candidates.prove-stop", "off", "--vehicle.rate_xy_lag=0.07"]
+    assert replace_renamed_flags(arguments) == ["--way-out.radius", "3", "--vehicle.rate-lag=0.07"]
+    assert "escape.radius is now way_out.radius" in caplog.text
+    assert "candidates.prove_stop is ignored: stop_proof.prove_stop switches the stop proof" in caplog.text
+    caplog.clear()
+    file = tmp_path / "old.yaml"
+    file.write_text("escape:\n  radius: 3\n  guide_depth: 2.0\npartition:\n  view_min: -20\n")
+    expected = PlannerConfig().replace({"way_out.radius": 3.0, "unseen_space.view_min": -20.0})
+    assert flags(str(file)).load() == expected
+    assert "line 2: escape.radius is now way_out.radius" in caplog.text
+    assert "line 3: escape.guide_depth is ignored" in caplog.text
+
+
+def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str]):
+    planner = ConfigFlags().planner
+    sections = {"stages": type(planner.stages)(active="memory,way_out"), "vehicle": type(planner.vehicle)(model="ctbr")}
+    config = ConfigFlags("default", type(planner)(**sections)).load()
+    assert config.stages.names == ("way_out", "memory") and config.stages.active == "way_out, memory"
+    with pytest.raises(ValueError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
+        ConfigFlags("default", type(planner)(stages=type(planner.stages)(active="wayout"))).load()
+    code, text, _ = run(capsys, "fly", "--help")
+    assert code == 0 and "--vehicle.model {ctbr,acceleration" in terminal_text(text)
+    assert "inf]" not in terminal_text(text), "a text has no bounds"
 
 
 def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():

@@ -64,7 +64,7 @@ def test_a_height_has_a_field_without_a_slider(server, path):
         ("Q_p", "costs.q_position"),
         ("--way-out.q-escape", "way_out.q_escape"),
         ("way_out.q_escape", "way_out.q_escape"),
-        ("look-ahead time", "anchors.lookahead_time"),
+        ("braking distance factor", "candidates.brake_reach"),
     ],
 )
 def test_words_of_the_search_are_matched_whole(server, query, path):

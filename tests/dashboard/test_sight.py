@@ -17,11 +17,11 @@ from tests.planner import reference
 
 @pytest.fixture(scope="module")
 def frame():
-    """A frame of a flight in which the drone is tilted."""
+    """The frame of a flight in which the drone is tilted most."""
     session = Session(FlightSource(scene("forest", seed=3)))
     frames = [session.tick() for _ in range(60)]
     session.close()
-    return frames[-1]
+    return max(frames, key=lambda frame: np.linalg.norm(np.asarray(frame.observation.state.quaternion)[1:3]))
 
 
 def with_config(frame: Frame, changes: dict[str, Value]) -> Frame:

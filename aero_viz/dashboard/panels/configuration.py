@@ -249,7 +249,7 @@ def differences(config: PlannerConfig, baseline: Baseline) -> str:
 
 
 def _flags(config: PlannerConfig, start: Baseline) -> str:
-    base = [] if start.name == "default" else [f"--config {start.name}"]
+    base = [] if start.name == "default" else ["--config", start.name]
     changed = start.config.differences(config)
     changes = [word for path, (_, new) in changed.items() for word in (f"--{path.replace('_', '-')}", str(new))]
     return shlex.join([*base, *changes])

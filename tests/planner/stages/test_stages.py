@@ -69,7 +69,9 @@ def test_a_stage_that_is_not_active_leaves_every_plan_as_if_it_did_not_exist(dev
 @pytest.mark.parametrize("name", [name for name in NAMES if name != "memory"])
 def test_a_stage_that_is_active_changes_plans(device: str, name: str):
     """The sequence above would show if a stage that is not active did anything."""
-    digests = [digest(sequence(Planner(config_with(active), device=device, seed=3))) for active in (NAMES, others(name))]
+    digests = [
+        digest(sequence(Planner(config_with(active), device=device, seed=3))) for active in (NAMES, others(name))
+    ]
     assert digests[0] != digests[1]
 
 
