@@ -130,7 +130,7 @@ class Plan:
     kinds: tuple[str, ...]
     """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
     controls: Array
-    """Optimised thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]. While a proven stop is flown, its first
+    """Optimised controls, by default thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]. While a proven stop is flown, its first
     control is the mean until the next plan, and its rollout has that over the time step."""
     positions: Array
     """Positions of the Stage II rollouts [m], shape [M, N+1, 3], world frame."""
@@ -166,6 +166,8 @@ class Plan:
     """None in plans that a drone has sent."""
     moving: MovingObstacles | None = field(default_factory=_none)
     """Obstacles that were found to move; None with a batch, and in plans that a drone has sent."""
+    model: str = "ctbr"
+    """Vehicle model, which says what the controls are; see vehicle.model."""
 
     @classmethod
     def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:
