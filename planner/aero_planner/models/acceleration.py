@@ -48,12 +48,6 @@ def clamp(u: wp.vec4, params: Params) -> wp.vec4:
 
 
 @wp.func
-def hover(params: Params) -> wp.vec4:
-    """Return no acceleration."""
-    return wp.vec4(0.0, 0.0, 0.0, 0.0)
-
-
-@wp.func
 def noise(params: Params) -> wp.vec4:
     """Return the standard deviations of acceleration and yaw rate that the noise of a quadrotor's controls causes."""
     level = _TILT_TIME * params.gravity * wp.sqrt(params.variance_rate_xy)
@@ -151,7 +145,6 @@ ACCELERATION = VehicleModel(
     label="Acceleration and yaw rate",
     controls=(("a_x", "m/s^2"), ("a_y", "m/s^2"), ("a_z", "m/s^2"), ("yaw_rate", "rad/s")),
     clamp=clamp,
-    hover=hover,
     noise=noise,
     respond=respond,
     constants=constants,
