@@ -54,7 +54,7 @@ class FlightSource:
     Args:
         world: where to fly.
         lidar: model of the LiDAR; None is the Livox Mid-360.
-        vehicle: model of the drone; None is the default vehicle.
+        vehicle: model of the drone; None is the default vehicle. It takes commands as the plans have them.
         rules: when the flight ends. A tick of the source is the time of one plan, `ticks_per_plan` ticks of the rules.
         noise: errors of the state estimate; None gives the planner the true state.
         control_step: time step of the plans' controls [s]; they are interpolated if a plan is flown for several ticks.
@@ -148,6 +148,7 @@ class FlightSource:
 
     def advance(self, plan: Plan) -> None:
         """Fly the first controls of `plan` for the time of one plan; does nothing if the flight is over."""
+        self._obey(plan.model)
         commands = wp.array(plan.command[None], dtype=wp.vec4, device=self.simulator.device)
         for phase in self._phases:
             if self.outcome is not None:
@@ -272,6 +273,13 @@ class FlightSource:
             raise UserError("The drone does not fit there; it stays where it was. Give a free position.")
         self.simulator.set_position(place[None])
         self._read_state()
+
+    def _obey(self, model: str) -> None:
+        """Take commands as a vehicle model of the planner has them, from now on."""
+        vehicle = self._setting.vehicle
+        if model != vehicle.model:
+            self._change(vehicle=dataclasses.replace(vehicle, model=model, own={}))
+            self.simulator.vehicle.rest()
 
     def _change(self, **changes: Any) -> None:
         setting = dataclasses.replace(self._setting, **changes)

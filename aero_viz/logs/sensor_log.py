@@ -105,7 +105,8 @@ def write_sensor_log(
             file = stack.enter_context(Path(path).open("wb"))
             log = _SensorLog(Writer(file, compression=CompressionType.ZSTD), source, options, seed)
             source.simulator.observers.append(log.write_tick)
-            hover: Any = SimpleNamespace(command=source.simulator.vehicle.control.numpy().repeat(2, axis=0))
+            vehicle: Any = source.simulator.vehicle
+            hover: Any = SimpleNamespace(command=vehicle.recent_commands.numpy()[0, [0, 0]], model=vehicle.model.model)
             while source.simulator.time < options.hover - 1e-9:
                 source.advance(hover)
             session = Session(source, config=config_for_flight(config, source.info), seed=seed)

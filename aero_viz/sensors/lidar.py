@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import quaternion_from_angles
 from aero_viz.scenes.device_worlds import DeviceWorlds
-from aero_viz.sensors.lidar_kernels import Beams, scan
+from aero_viz.sensors.lidar_kernels import Beams, Poses, scan
 from aero_viz.sensors.models import LidarModel
 
 # The Mid-360, after the scan table that its maker publishes for simulation (livox_laser_simulation, mid360.csv).
@@ -120,11 +120,16 @@ class Lidar:
         if self.model.sweep_loss > 0.0 or self._losing:
             self._losing = self.model.sweep_loss > 0.0
             self._lost.assign(self.loses(sweep).astype(np.int32))
-        positions, quaternions = zip(poses_before, poses, strict=True)
-        estimates = zip(estimated_poses_before or poses_before, estimated_poses or poses, strict=True)
-        estimated_positions, estimated_quaternions = estimates
         inputs = [worlds.geometry, worlds.index, self._beams, self._seeds, sweep, first, end - first, active]
-        inputs.append(self._lost)
-        inputs += [*positions, *quaternions, *estimated_positions, *estimated_quaternions]
+        inputs += [self._lost, _pack_poses(poses_before, poses)]
+        inputs.append(_pack_poses(estimated_poses_before or poses_before, estimated_poses or poses))
         size = (len(self._seeds), end - first)
         wp.launch(scan(worlds.has_triangles), size, inputs=inputs, outputs=[self.points], device=worlds.device)
+
+
+def _pack_poses(before: tuple[wp.array, wp.array], after: tuple[wp.array, wp.array]) -> Any:
+    """Return the `Poses` of positions and quaternions."""
+    poses: Any = Poses()
+    poses.position_before, poses.quaternion_before = before
+    poses.position, poses.quaternion = after
+    return poses

@@ -49,6 +49,22 @@ class Beams:
     """Rotation from sensor to body."""
 
 
+@wp.struct
+class Poses:
+    """Poses of B vehicles at the beginning and at the end of a scan, world frame; they move evenly in between."""
+
+    position_before: wp.array(dtype=wp.vec3)  # [B]
+    position: wp.array(dtype=wp.vec3)  # [B]
+    quaternion_before: wp.array(dtype=wp.vec4)  # [B], w, x, y, z
+    quaternion: wp.array(dtype=wp.vec4)  # [B]
+
+
+@wp.func
+def position_at(poses: Poses, b: int, share: float):
+    """Return the position at a share of the scan."""
+    return wp.lerp(poses.position_before[b], poses.position[b], share)
+
+
 @wp.func
 def fraction(index: wp.uint32, step: wp.uint32):
     """Return the fractional part of index * step / 2^32."""
@@ -85,8 +101,10 @@ def beam_direction(beams: Beams, index: int, phase: wp.uint32):
 
 
 @wp.func
-def attitude_between(before: wp.vec4, after: wp.vec4, share: float):
-    """Interpolate between two similar attitudes w, x, y, z; return a Warp quaternion x, y, z, w."""
+def attitude_at(poses: Poses, b: int, share: float):
+    """Return the attitude at a share of the scan, as a Warp quaternion x, y, z, w."""
+    before = poses.quaternion_before[b]
+    after = poses.quaternion[b]
     sign = wp.where(wp.dot(before, after) < 0.0, -1.0, 1.0)
     q = wp.normalize((1.0 - share) * before + (share * sign) * after)
     return wp.quat(q[1], q[2], q[3], q[0])
@@ -113,14 +131,8 @@ def scan(with_triangles: bool) -> wp.Kernel:
         # in
         active: wp.array(dtype=int),  # [B]
         lost: wp.array(dtype=int),  # [B]
-        position_before: wp.array(dtype=wp.vec3),  # [B]
-        position: wp.array(dtype=wp.vec3),  # [B]
-        quaternion_before: wp.array(dtype=wp.vec4),  # [B]
-        quaternion: wp.array(dtype=wp.vec4),  # [B]
-        estimated_position_before: wp.array(dtype=wp.vec3),  # [B]
-        estimated_position: wp.array(dtype=wp.vec3),  # [B]
-        estimated_quaternion_before: wp.array(dtype=wp.vec4),  # [B]
-        estimated_quaternion: wp.array(dtype=wp.vec4),  # [B]
+        poses: Poses,
+        estimated: Poses,
         # out
         points: wp.array2d(dtype=wp.vec3),  # [B, points_per_sweep]
     ):
@@ -131,8 +143,8 @@ def scan(with_triangles: bool) -> wp.Kernel:
         index = sweep * beams.points_per_sweep + first + i
         share = (float(i) + 0.5) / float(count)
         beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
-        attitude = attitude_between(quaternion_before[b], quaternion[b], share)
-        origin = wp.lerp(position_before[b], position[b], share) + wp.quat_rotate(attitude, beams.mount_position)
+        attitude = attitude_at(poses, b, share)
+        origin = position_at(poses, b, share) + wp.quat_rotate(attitude, beams.mount_position)
         direction = wp.quat_rotate(attitude, beam)
         time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
         triangle = float(wp.inf)
@@ -144,9 +156,8 @@ def scan(with_triangles: bool) -> wp.Kernel:
             random = wp.rand_init(seeds[b], index)
             if wp.randf(random) >= beams.dropout:
                 in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
-                estimated_attitude = attitude_between(estimated_quaternion_before[b], estimated_quaternion[b], share)
-                estimated_origin = wp.lerp(estimated_position_before[b], estimated_position[b], share)
-                point = estimated_origin + wp.quat_rotate(estimated_attitude, in_body)
+                place = wp.quat_rotate(attitude_at(estimated, b, share), in_body)
+                point = position_at(estimated, b, share) + place
         points[b, first + i] = point
 
     return scan

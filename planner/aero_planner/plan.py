@@ -143,7 +143,7 @@ class Plan:
     collision_cost: Array
     """J_col of every instance, shape [M]."""
     clearance: Array
-    """Distance to the nearest filtered point or dynamic obstacle after each control, at most d_max [m], shape [M, N]."""
+    """Distance to the nearest filtered point or dynamic obstacle after each control, at most d_max [m], [M, N]."""
     best: int | NDArray[np.int32]
     """Index of the instance to fly: `controls[best]`."""
     status: PlanStatus | NDArray[np.int32]
@@ -163,6 +163,8 @@ class Plan:
     moving: MovingObstacles | None = field(default_factory=_none)
     """Obstacles that were found to move; None if no stage looks for them, with a batch, and in plans that a drone has
     sent."""
+    model: str = "ctbr"
+    """Vehicle model, which says what the controls are; see vehicle.model."""
 
     @classmethod
     def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:

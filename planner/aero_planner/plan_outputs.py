@@ -57,6 +57,7 @@ def make_plan(
         drag=values["drag"] if batched else float(values["drag"][0]),
         stage_ms=stage_ms,
         samples=None if samples is None else arrays.per_drone(samples),
+        model=config.vehicle.model,
     )
 
 

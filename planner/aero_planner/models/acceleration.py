@@ -2,9 +2,9 @@
 
 State x = [p, q, v, a], control u = (a_c, psi_rate): dp = v, dv = a + d - k v, and the acceleration a in effect follows
 the command a_c: da = (a_c - a) / tau. The autopilot turns the thrust to a - g; q is that attitude, with its yaw psi.
-Along x and y, tau is the time constant of its attitude control, plus the lag of the body rates; along z it is the lag of
-the thrust. The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk along x and y of at
-most rate_xy_max |g|, by which the thrust vector turns at its largest rate in hover.
+Along x and y, tau is the time constant of its attitude control, plus the lag of the body rates; along z it is the lag
+of the thrust. The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk along x and y of
+at most rate_xy_max |g|, by which the thrust vector turns at its largest rate in hover.
 """
 
 # Postponed annotations are left out: Warp structs need the types themselves.
@@ -54,12 +54,6 @@ def clamp(u: wp.vec4, params: Params) -> wp.vec4:
     return wp.vec4(
         level * f[0], level * f[1], up - params.gravity, wp.clamp(u[3], -params.rate_z_max, params.rate_z_max)
     )
-
-
-@wp.func
-def hover(params: Params) -> wp.vec4:
-    """Return no acceleration."""
-    return wp.vec4(0.0, 0.0, 0.0, 0.0)
 
 
 @wp.func
@@ -160,7 +154,6 @@ ACCELERATION = VehicleModel(
     label="Acceleration and yaw rate",
     controls=(("a_x", "m/s^2"), ("a_y", "m/s^2"), ("a_z", "m/s^2"), ("yaw_rate", "rad/s")),
     clamp=clamp,
-    hover=hover,
     noise=noise,
     respond=respond,
     constants=constants,

@@ -11,6 +11,18 @@ import warp as wp
 from aero_planner.parameters import ParameterSection
 
 
+@wp.func
+def no_control(c: Any) -> wp.vec4:
+    """Return zeros: the control at rest of a vehicle that stands."""
+    return wp.vec4(0.0, 0.0, 0.0, 0.0)
+
+
+@wp.func
+def follow_at_once(u: wp.vec4, acting: wp.vec4, time: float, c: Any) -> wp.vec4:
+    """Return u: the response of a vehicle without lag."""
+    return u
+
+
 @dataclass(frozen=True, eq=False)
 class VehicleModel:
     """A vehicle whose state is position p, velocity v and attitude q, and whose control is four numbers.
@@ -25,15 +37,15 @@ class VehicleModel:
         label: for people.
         controls: name and unit of each of the four numbers of a control.
         clamp: (u, c) -> u within its bounds.
-        hover: (c) -> the control at which the vehicle at rest stays at rest.
         noise: (c) -> standard deviations of the sampled noise, vec4.
-        respond: (u, acting, time, c) -> acting control after u was commanded for a time [s].
         constants: (disturbance, drag, dt, c) -> K: what is constant over all steps of dt [s]; the disturbance is an
             acceleration [m/s^2], vec3, the drag a deceleration per velocity [1/s].
         step: (p, v, q, acting, u, k) -> p, v, q, acting after one step.
         acceleration: (v, q, acting, k) -> acceleration [m/s^2], vec3, world frame.
         follow: (p, v, q, acting, guide, time, yaw_rate, k, c) -> the control with which to follow a guide, a `Quintic`,
             in the step from a time of it on [s], while turning at a yaw rate [rad/s].
+        hover: (c) -> the control at which the vehicle at rest stays at rest; by default zeros.
+        respond: (u, acting, time, c) -> acting control after u was commanded for a time [s]; by default u.
         parameters: section of the model's own parameters; None if it has none.
     """
 
@@ -41,17 +53,11 @@ class VehicleModel:
     label: str
     controls: tuple[tuple[str, str], ...]
     clamp: Callable[..., Any]
-    hover: Callable[..., Any]
     noise: Callable[..., Any]
-    respond: Callable[..., Any]
     constants: Callable[..., Any]
     step: Callable[..., Any]
     acceleration: Callable[..., Any]
     follow: Callable[..., Any]
+    hover: Callable[..., Any] = no_control
+    respond: Callable[..., Any] = follow_at_once
     parameters: type[ParameterSection] | None = None
-
-
-@wp.func
-def follow_at_once(u: wp.vec4, acting: wp.vec4, time: float, c: Any) -> wp.vec4:
-    """Return u: the response of a vehicle without lag."""
-    return u
