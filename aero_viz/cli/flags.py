@@ -221,6 +221,12 @@ class RecordingFlags:
     """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of the recorded ones."""
     mask: OptionalBox = None
     """Leave out the points in a box in the body's frame, from its lower to its upper corner [m]."""
+    columns: OptionalText = None
+    """Rows of .bin files: the number of float32 columns, such as 5, or NumPy's types, such as 4f8 or 4f4,u2,f4; x, y, z
+    come first. By default it is found in the numbers."""
+    sensor: OptionalText = None
+    """Sensor to play where several were recorded in one capture or on one topic; by default the one with the most
+    points. `inspect` lists them."""
 
     def options(self) -> dict[str, Any]:
         """Return the arguments of `open_recording`."""

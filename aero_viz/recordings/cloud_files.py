@@ -18,7 +18,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import LimitExceeded, ReadingBudget
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
-from aero_viz.recordings.bin_files import find_layout, read_bin
+from aero_viz.recordings.bin_files import find_layout, parse_columns, read_bin
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
 from aero_viz.scenes.decoding_process import DecodingProcess
@@ -103,18 +103,31 @@ class CloudFiles(CloudSequence):
         files: files in the order of time.
         stamps: their stamps [ns].
         suffix: names their format; None takes that of the first file.
+        columns: rows of .bin files, see `parse_columns`; None finds them.
 
     Raises:
         UserError: the first files are all damaged.
     """
 
-    def __init__(self, path: Path, files: list[Path], stamps: list[int], suffix: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        files: list[Path],
+        stamps: list[int],
+        suffix: str | None = None,
+        *,
+        columns: str | None = None,
+    ) -> None:
         super().__init__(path, "/points", sum(file.stat().st_size for file in files))
         self._files, self._stamps = files, stamps
         self._suffix = suffix or files[0].suffix.lower()
-        self._layout = find_layout(files) if self._suffix == ".bin" else None
-        if self._layout is not None and not self._layout.is_common:
-            self.notices.append(f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first")
+        self._layout = None
+        if self._suffix == ".bin":
+            self._layout = find_layout(files) if columns is None else parse_columns(columns)
+            choice = "as --columns says" if columns else "--columns names others"
+            self.notices.append(
+                f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first; {choice}"
+            )
         self.damage: dict[Path, str] = {}
         """Reasons why files could not be read so far."""
         self._process = DecodingProcess()

@@ -14,6 +14,7 @@ from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.recordings.bag_file import list_names, one_line
+from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, STAMP_END, CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.imu_messages import ImuRows
 from aero_viz.recordings.ouster import ouster_sweeps
@@ -70,12 +71,13 @@ class CloudFolder(NamedTuple):
     pose_file: Path | None
 
 
-def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | None:
+def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> tuple[str, CloudSequence] | None:
     """Return the format of a file that is not a bag, and its clouds; None if the format is unknown.
 
     Args:
         path: the file.
         start: its first bytes.
+        choices: what the user has settled.
 
     Raises:
         UserError: the file is damaged, or of a format for which the message names the next step.
@@ -104,7 +106,7 @@ def open_other_file(path: Path, start: bytes) -> tuple[str, CloudSequence] | Non
     if found is None and suffix not in (".bin", ".xyz", ".pts"):
         return None
     suffix = found if found is not None and (found, suffix) != (".las", ".laz") else suffix
-    clouds = CloudFiles(path, [path], [FIRST_STAMP], suffix)
+    clouds = CloudFiles(path, [path], [FIRST_STAMP], suffix, columns=choices.columns)
     if path.suffix.lower() in MAP_SUFFIXES:
         clouds.notices.append(f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {path.name}")
     return suffix.lstrip("."), clouds
@@ -115,7 +117,7 @@ def _ouster_clouds(path: Path, *, is_osf: bool) -> PacketClouds:
     return PacketClouds(path, "/ouster/points", ouster_sweeps(path, imu, is_osf=is_osf), imu=imu)
 
 
-def open_cloud_folder(path: Path) -> CloudFolder | None:
+def open_cloud_folder(path: Path, choices: Choices = AUTOMATIC) -> CloudFolder | None:
     """Return the clouds in a folder, with poses and times from the text files next to them; None if it holds no clouds.
 
     Raises:
@@ -137,7 +139,7 @@ def open_cloud_folder(path: Path) -> CloudFolder | None:
         files = _without_maps(files)
         others = sorted(file.name for file in named if file not in files and file.name not in lost)
         files, stamps, notice = _in_order(files, places)
-        clouds = CloudFiles(path, files, stamps)
+        clouds = CloudFiles(path, files, stamps, columns=choices.columns)
         clouds.notices += [notice] if notice else []
         if others:
             what = "are of another format or have names unlike those of the others"

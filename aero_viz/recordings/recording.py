@@ -5,27 +5,22 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
-from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
+from aero_viz.recordings.contents import CloudEntry, Contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
-from aero_viz.recordings.storage import Storage, open_storage, readable
+from aero_viz.recordings.storage import Storage
 from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
 from aero_viz.recordings.transforms import IDENTITY, Transform
-
-if TYPE_CHECKING:
-    from aero_viz.recordings.odometry import OdometryProgress
-    from aero_viz.recordings.odometry_choice import OdometryChoice
 
 NO_POSES = (
     "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "
@@ -92,11 +87,6 @@ class Recording:
                 f"No sweep on {cloud.name} of {self.path} has a valid point: all are zero, not finite or beyond any "
                 f"range{advice}."
             )
-
-        if self.poses is None and storage.pose_file is not None:
-            from aero_viz.recordings.pose_files import add_poses
-
-            add_poses(self, storage.pose_file)
 
     def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
@@ -263,129 +253,9 @@ class Recording:
         self.close()
 
 
-def open_recording(
-    path: str | Path,
-    *,
-    points_topic: str | None = None,
-    pose_topic: str | None = None,
-    odometry: OdometryChoice = "none",
-    poses: str | Path | None = None,
-    extrinsic: Sequence[float] | None = None,
-    mask: Sequence[float] | None = None,
-    progress: OdometryProgress = lambda done, total: None,
-) -> Recording:
-    """Open a recording of any supported format: a bag, files or folders of clouds, or a capture of packets.
-
-    One pass over the file reads the poses and finds the sweeps; a sweep is read when it is asked for.
-
-    Args:
-        path: file or folder.
-        points_topic: topic of the sweeps; None chooses the one with the most clouds.
-        pose_topic: topic of the poses; None chooses the first one of Odometry, PoseStamped,
-            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps, and of these first those whose
-            frame is joined to that of the clouds.
-        odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
-            replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
-        poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
-        extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of the recorded
-            pose.
-        mask: box in the body's frame whose points are left out, see `Recording.mask`.
-        progress: called while poses are estimated.
-
-    Raises:
-        UserError: the recording cannot be played, or its motion cannot be estimated.
-    """
-    storage = open_storage(path)
-    try:
-        with readable(storage.path):
-            contents = read_contents(storage)
-            recording = Recording(storage, contents, points_topic, pose_topic)
-            configure_recording(
-                recording,
-                storage,
-                contents,
-                odometry=odometry,
-                poses=poses,
-                extrinsic=extrinsic,
-                mask=mask,
-                progress=progress,
-            )
-            return recording
-    except BaseException:
-        storage.close()
-        raise
-
-
-def configure_recording(
-    recording: Recording,
-    storage: Storage,
-    contents: Contents,
-    *,
-    odometry: OdometryChoice = "none",
-    poses: str | Path | None = None,
-    extrinsic: Sequence[float] | None = None,
-    mask: Sequence[float] | None = None,
-    progress: OdometryProgress = lambda done, total: None,
-) -> None:
-    """Apply the options of `open_recording` to a recording."""
-    if extrinsic is not None:
-        recording.mount(_mounting(extrinsic))
-    if mask is not None:
-        lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
-        if not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}.")
-        recording.mask(mask)
-    if poses is not None:
-        from aero_viz.recordings.pose_files import add_poses
-
-        add_poses(recording, Path(poses))
-    elif odometry != "none" and (recording.poses is None or odometry != "auto"):
-        _add_odometry(recording, storage, contents, odometry, progress)
-
-
 def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
     """Return points [P, 3] of a frame whose pose in another one is `pose` in that other frame."""
     return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)
-
-
-def _mounting(values: Sequence[float]) -> Transform:
-    x, y, z, roll, pitch, yaw = _checked(values, "--extrinsic", "x y z [m] roll pitch yaw [deg]")
-    return Transform(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
-
-
-def _checked(values: Sequence[float], flag: str, meaning: str) -> Sequence[float]:
-    if len(values) != 6 or not np.isfinite(values).all():
-        raise UserError(f"{flag} takes six finite numbers, {meaning}, not {list(values)}.")
-    return values
-
-
-def _add_odometry(
-    recording: Recording, storage: Storage, contents: Contents, choice: OdometryChoice, progress: OdometryProgress
-) -> None:
-    """Estimate the motion of a recording, unless it is in the cache, and use it."""
-    from aero_viz.recordings.imu import read_imu
-    from aero_viz.recordings.odometry import choose_method, estimate_motion
-    from aero_viz.recordings.odometry_cache import load_motion, motion_key, save_motion
-
-    imu = read_imu(storage.files)
-    method = choose_method(choice, imu, timed=any(recording.sweep(i).point_times is not None for i in (0, -1)))
-    files = [file.path for file in storage.files]
-    key = motion_key(files, method, recording.points_topic, recording.pose_topic, *recording.changes)
-    motion = load_motion(key)
-    if motion is None:
-        body = recording.cloud_frame if recording.extrinsic is IDENTITY else None
-        mount = contents.transforms.between(body, imu.frame) if imu and body else None
-        motion = estimate_motion(
-            recording, method, imu, imu_mount=mount or IDENTITY, start=recording.start, progress=progress
-        )
-        if imu and mount is None and imu.frame != body:
-            notice = (
-                f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
-            )
-            motion = motion._replace(problems=(*motion.problems, notice))
-        save_motion(key, motion)
-    source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"
-    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems], origin="odometry")
 
 
 def _format_ranges(indices: Iterable[int]) -> str:
