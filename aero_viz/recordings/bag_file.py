@@ -72,6 +72,15 @@ class BagFile(ABC):
         self.damaged = 0
         """Number of records and chunks that could not be read."""
 
+    @property
+    def parts(self) -> list[Path]:
+        """The files that it is made of."""
+        return [self.path]
+
+    def number(self, position: Any) -> int | None:
+        """Return the number in the name of the file that a message was made from; None where there is none."""
+        return None
+
     @abstractmethod
     def scan(self, types: Collection[str]) -> Iterator[Message]:
         """Yield all messages in file order, with the heads of those of `types`. Stops where a truncated file ends."""

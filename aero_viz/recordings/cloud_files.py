@@ -19,6 +19,7 @@ from aero_viz.input_limits import LimitExceeded, ReadingBudget
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
 from aero_viz.recordings.bin_files import find_layout, parse_columns, read_bin
+from aero_viz.recordings.cloud_times import STAMP_END, number_in_name
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
 from aero_viz.scenes.decoding_process import DecodingProcess
@@ -32,8 +33,6 @@ _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
 _TRIED = 5
 """Largest number of damaged files at the start of a folder."""
-STAMP_END = 10**9 << 31
-"""Times from here on do not fit into a header [ns]."""
 
 
 class StampedCloud(NamedTuple):
@@ -180,6 +179,13 @@ class CloudFiles(CloudSequence):
         times = np.zeros(len(points), np.float32)
         times[valid] = seconds
         return StampedCloud(stamp, points, times)
+
+    @property
+    def parts(self) -> list[Path]:
+        return self._files
+
+    def number(self, position: int) -> int | None:
+        return number_in_name(self._files[position])
 
     def _read_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         """Return points [n, 3] [m] and their times [n] as stored in the file, or None."""

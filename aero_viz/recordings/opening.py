@@ -127,7 +127,7 @@ def _add_odometry(
 
     imu = read_imu(storage.files)
     method = choose_method(choice, imu, timed=any(recording.sweep(i).point_times is not None for i in (0, -1)))
-    files = [file.path for file in storage.files]
+    files = [part for file in storage.files for part in file.parts]
     key = motion_key(files, method, recording.points_topic, recording.pose_topic, *recording.changes)
     motion = load_motion(key)
     if motion is None:

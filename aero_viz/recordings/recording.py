@@ -79,7 +79,12 @@ class Recording:
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
-        self._time_unit = common_time_unit(self._sampled_clouds())
+        period = float(np.median(np.diff(self.sweep_times))) if len(self.sweep_times) > 1 else None
+        self._time_unit = common_time_unit(self._sampled_clouds(), period)
+        if self._time_unit is not None and self._time_unit not in (1.0, 1e-3, 1e-6, 1e-9):
+            self.problems.append(
+                f"the times of points run from 0 to 1 and are taken for shares of a sweep of {self._time_unit:.3g} s"
+            )
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
@@ -194,6 +199,13 @@ class Recording:
         """
         self.poses, self.pose_topic, self.pose_origin = poses, name, origin
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
+
+    @property
+    def sweep_numbers(self) -> list[int] | None:
+        """Numbers in the names of the files of the playable sweeps; None unless every sweep has one of its own."""
+        numbers = [entry.file.number(entry.position) for entry in self._entries]
+        known = [number for number in numbers if number is not None]
+        return known if len(set(known)) == len(numbers) else None
 
     @property
     def changes(self) -> tuple[bytes, ...]:

@@ -22,7 +22,7 @@ from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.other_formats import CloudFolder
+    from aero_viz.recordings.cloud_folders import CloudFolder
 
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
@@ -182,7 +182,7 @@ def open_storage(path: str | Path, choices: Choices = AUTOMATIC) -> Storage:
         names = {re.sub(r"(_\d{4}(-\d\d){5})?_\d+\.bag.*$", "", file.name) for file in ros1}
         if ros1 and not ros2 and len(names) == 1 and [_part(file) for file in ros1] == list(range(len(ros1))):
             return Storage(path, ros1, is_folder=False, choices=choices)
-        from aero_viz.recordings.other_formats import open_cloud_folder
+        from aero_viz.recordings.cloud_folders import open_cloud_folder
 
         if _recordings_in(path):
             raise UserError(_no_recording(path))
