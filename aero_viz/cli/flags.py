@@ -17,6 +17,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
+from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.scenes.map_files import has_voxels
 from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
@@ -227,6 +228,8 @@ class RecordingFlags:
     sensor: OptionalText = None
     """Sensor to play where several were recorded in one capture or on one topic; by default the one with the most
     points. `inspect` lists them."""
+    cloud_frame: CloudFrame = "auto"
+    """What the clouds move with: the body, or the world, as a map does; auto goes by the name of their frame."""
 
     def options(self) -> dict[str, Any]:
         """Return the arguments of `open_recording`."""

@@ -36,6 +36,8 @@ _DATE_IN_NAME = re.compile(
 """A date and a time of day at the end of a name, with decimals of the seconds."""
 _NUMBER_IN_NAME = re.compile(r"(?:^|\D)(?:(\d{1,10})_(\d{9})|(\d{1,10}\.\d{1,9})|(\d{1,19}))(?:\.pcd)?$")
 """A number at the end of a name: seconds and nanoseconds, seconds with decimals, or a whole number."""
+_LARGEST = 10**20
+"""Larger numbers are no times in any unit."""
 _DIGITS = 10**8
 """Most whole numbers are at least this large, if they are times and not counters."""
 _UNITS = {10**9: "seconds", 10**6: "milliseconds", 10**3: "microseconds", 1: "nanoseconds"}
@@ -71,6 +73,8 @@ def find_clock(values: Sequence[Decimal], units: Sequence[int] = tuple(_UNITS)) 
     The unit is the one in which the clouds follow one another like sweeps, preferably in this century.
     """
     ordered = sorted(set(values))
+    if ordered[-1] > _LARGEST:
+        return None
     steps = sorted(after - before for before, after in itertools.pairwise(ordered))
     step = float(steps[len(steps) // 2]) if steps else None
     found: list[tuple[float, Clock]] = []
@@ -155,7 +159,7 @@ def _stamps_and_clock(path: Path, files: list[Path]) -> tuple[list[int], Clock |
     try:
         text = read_user_text(path, limit=TEXT_MAX)
         values, is_date = _times_in(text)
-        if not all(value.is_finite() and abs(value) < 10**20 for value in values):
+        if not all(value.is_finite() for value in values):
             raise ValueError("one of them is not finite")
     except OSError as error:
         raise UserError(f"{path} cannot be read: {error.strerror or error}.") from error
@@ -169,7 +173,7 @@ def _stamps_and_clock(path: Path, files: list[Path]) -> tuple[list[int], Clock |
         values = [values[line] for line in lines]
     seconds = Clock(10**9, bool(values) and values[0] * 10**9 >= _YEAR_2005)
     clock = seconds if is_date else find_clock(values) or seconds
-    if max(map(clock.stamp, values)) >= STAMP_END:
+    if max(values) > _LARGEST or max(map(clock.stamp, values)) >= STAMP_END:
         raise UserError(f"{path} holds a time that is beyond 2038; correct or remove it.")
     return list(map(clock.stamp, values)), None if is_date else clock
 

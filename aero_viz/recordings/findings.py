@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector
-from aero_viz.recordings.alignment import match, place
+from aero_viz.recordings.alignment import place
+from aero_viz.recordings.cloud_frame import check_cloud_frame
+from aero_viz.recordings.finding import Finding
 from aero_viz.recordings.misalignment import Misalignment, estimate_misalignment
 from aero_viz.recordings.poses import RecordedPoses, position_differences
 
@@ -18,11 +20,8 @@ if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
 
 _SAMPLES = 20
-_PAIRS, _QUERIES = 5, 1000
-_NEAR = 0.1
-"""A point this near to a surface lies on it [m]."""
 _MOVED = 2.0
-"""Distance between two poses that shows whether the cloud moves with the body [m]."""
+"""Least way of a body that shows which points move with it [m]."""
 _MOVING = 0.5
 """Speed from which the direction of a velocity counts [m/s]."""
 _AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
@@ -44,20 +43,6 @@ _IMPROVEMENT = 0.9
 _COLUMN, _MIN_COLUMNS, _FLOOR_SHARE, _BELOW = 1.0, 20, 0.75, 0.2
 """Of the ground: width of a column of points [m], least number of columns that are mostly ground, least share of the
 points in those, and largest share of points below it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault, or a property that the user should know of."""
-
-    code: str
-    """Short name, such as "time-offset"."""
-    evidence: str
-    """Evidence, one sentence without a full stop."""
-    advice: str
-    """The next step, an imperative without a full stop."""
-    is_fault: bool = True
-    """False if the playback handles it without help."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +116,7 @@ def find_faults(recording: Recording) -> list[Finding]:
     found += _jumps(poses)
     found += _twists(poses)
     found += _airframe(recording, poses)
-    fixed = list(_world_frame(recording, poses))
+    fixed = [found for found in (check_cloud_frame(recording, poses),) if found is not None]
     # Sweeps that do not move with the body, or poses that jump, say nothing about offsets.
     if not fixed and not any(finding.code == "pose-jumps" for finding in found):
         estimate = estimate_misalignment(recording, poses)
@@ -246,38 +231,6 @@ def _twists(poses: RecordedPoses) -> Iterator[Finding]:
                 f"{as_world:.2f} m/s",
                 "check the unit, the axes and the frame of the twist where it is published",
             )
-
-
-def _world_frame(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
-    times = recording.sweep_times
-    positions = poses.track.interpolate(times)[0]
-    raw, posed, distances = [], [], []
-    for first in _sampled(len(times))[:: _SAMPLES // _PAIRS]:
-        far = np.flatnonzero(np.linalg.norm(positions[first:] - positions[first], axis=1) > _MOVED)
-        if not len(far):
-            continue
-        second = first + int(far[0])
-        surface, query = recording.sweep(first), recording.sweep(second)
-        kept = slice(None, None, max(1, len(query.points) // _QUERIES))
-        query = query._replace(
-            points=query.points[kept], point_times=None if query.point_times is None else query.point_times[kept]
-        )
-        if len(query.points):
-            raw.append(_share_on_surfaces(surface.points.astype(np.float64), query.points.astype(np.float64)))
-            posed.append(_share_on_surfaces(place(surface, poses), place(query, poses)))
-            distances.append(float(np.linalg.norm(positions[second] - positions[first])))
-    if raw and np.median(raw) > max(0.1, 2.0 * float(np.median(posed))):
-        yield Finding(
-            "world-frame",
-            f"the cloud is already in the world frame: of sweeps {np.median(distances):.1f} m apart, "
-            f"{100 * np.median(raw):.0f} % of the points lie on surfaces of each other as recorded and "
-            f"{100 * np.median(posed):.0f} % when they are moved by the poses",
-            "play the raw cloud of the sensor (--points-topic), or publish the cloud in the sensor's frame",
-        )
-
-
-def _share_on_surfaces(surface: NDArray[np.float64], points: NDArray[np.float64]) -> float:
-    return float((np.abs(match(surface, points).distances) < _NEAR).sum() / len(points))
 
 
 def _airframe(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from aero_viz.errors import UserError
-from aero_viz.recordings.choices import Choices
+from aero_viz.recordings.choices import Choices, CloudFrame
 from aero_viz.recordings.contents import Topic, read_contents
 from aero_viz.recordings.findings import Finding, Measured, find_faults, measure
 from aero_viz.recordings.folder_check import count_points
@@ -87,6 +87,7 @@ def inspect(
     pose_topic: str | None = None,
     columns: str | None = None,
     sensor: str | None = None,
+    cloud_frame: CloudFrame = "auto",
     **options: Any,
 ) -> RecordingInfo:
     """Return a report on a recording. What keeps it from being played becomes one of the report's `problems`.
@@ -94,14 +95,14 @@ def inspect(
     Args:
         path: file or folder.
         points_topic, pose_topic: topics to play from; None finds them by type.
-        columns, sensor: see `aero_viz.recordings.choices.Choices`.
+        columns, sensor, cloud_frame: see `aero_viz.recordings.choices.Choices`.
         options: other options of `open_recording`.
 
     Raises:
         UserError: there is no recording at `path`, nothing in it can be read, a named topic does not exist or is of
             the wrong type, or another option is wrong.
     """
-    storage = open_storage(path, Choices(columns, sensor))
+    storage = open_storage(path, Choices(columns, sensor, cloud_frame))
     try:
         with readable(storage.path):
             contents = read_contents(storage)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from aero_planner.quaternions import quaternion_from_angles
+from aero_planner.quaternions import compose_transforms, quaternion_from_angles
 from aero_viz.errors import UserError
-from aero_viz.recordings.choices import Choices
+from aero_viz.recordings.choices import Choices, CloudFrame
 from aero_viz.recordings.contents import Contents, read_contents
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.storage import Storage, open_storage, readable
@@ -32,6 +32,7 @@ def open_recording(
     mask: Sequence[float] | None = None,
     columns: str | None = None,
     sensor: str | None = None,
+    cloud_frame: CloudFrame = "auto",
     progress: OdometryProgress = lambda done, total: None,
 ) -> Recording:
     """Open a recording of any supported format: a bag, files or folders of clouds, or a capture of packets.
@@ -50,13 +51,13 @@ def open_recording(
         extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of the recorded
             pose.
         mask: box in the body's frame whose points are left out, see `Recording.mask`.
-        columns, sensor: see `aero_viz.recordings.choices.Choices`.
+        columns, sensor, cloud_frame: see `aero_viz.recordings.choices.Choices`.
         progress: called while poses are estimated.
 
     Raises:
         UserError: the recording cannot be played, or its motion cannot be estimated.
     """
-    storage = open_storage(path, Choices(columns, sensor))
+    storage = open_storage(path, Choices(columns, sensor, cloud_frame))
     try:
         with readable(storage.path):
             contents = read_contents(storage)
@@ -104,6 +105,11 @@ def configure_recording(
         add_poses(recording, Path(poses))
     elif odometry != "none" and (recording.poses is None or odometry != "auto"):
         _add_odometry(recording, storage, contents, odometry, progress)
+    if recording.is_in_world and recording.poses is not None:
+        from aero_viz.recordings.cloud_frame import turns_with_body
+
+        if found := turns_with_body(recording, recording.poses):
+            recording.problems.append(f"{found.evidence}: {found.advice}")
 
 
 def _mounting(values: Sequence[float]) -> Transform:
@@ -131,12 +137,13 @@ def _add_odometry(
     key = motion_key(files, method, recording.points_topic, recording.pose_topic, *recording.changes)
     motion = load_motion(key)
     if motion is None:
-        body = recording.cloud_frame if recording.extrinsic is IDENTITY else None
-        mount = contents.transforms.between(body, imu.frame) if imu and body else None
+        mount = contents.transforms.between(recording.cloud_frame, imu.frame) if imu else None
+        if mount is not None:
+            mount = Transform(*compose_transforms(*recording.extrinsic, *mount))
         motion = estimate_motion(
             recording, method, imu, imu_mount=mount or IDENTITY, start=recording.start, progress=progress
         )
-        if imu and mount is None and imu.frame != body:
+        if imu and mount is None:
             notice = (
                 f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
             )

@@ -10,16 +10,19 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import rotation_matrix
+from aero_planner.quaternions import compose_transforms, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
+from aero_viz.recordings.axes import other_axes
+from aero_viz.recordings.bag_file import BagFile
+from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.storage import Storage
-from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
+from aero_viz.recordings.topics import PoseSource, choose_cloud_topic, choose_poses, suggest_other_clouds
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
 NO_POSES = (
@@ -74,7 +77,7 @@ class Recording:
         if len(entries) < len(cloud.clouds):
             empty = len(cloud.clouds) - len(entries)
             self.problems.append(f"{empty} of {len(cloud.clouds)} sweeps on {cloud.name} have no points: left out")
-        self._set_timeline(contents, entries, pose_topic)
+        self._set_timeline(contents, entries, pose_topic, storage.choices.cloud_frame)
         self.sweep_counts = np.array([entry.count for entry in self._entries], np.int64)
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
@@ -93,7 +96,13 @@ class Recording:
                 f"range{advice}."
             )
 
-    def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
+    def _set_timeline(
+        self,
+        contents: Contents,
+        entries: list[CloudEntry],
+        pose_topic: str | None,
+        cloud_frame: CloudFrame,
+    ) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
         times = np.array([(entry.time, entry.arrival) for entry in entries], np.int64)
         fault = find_clock_fault(*times.T)
@@ -110,7 +119,11 @@ class Recording:
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
         if use_stamps and not stamped:
             self.problems.append("the stamps of sweeps and poses are on different clocks: times of recording are used")
-        if source is not None and source.notice:
+        if source is not None and source.in_world and cloud_frame == "body":
+            self.problems.append(
+                f"clouds in {entries[0].frame!r} are taken to move with the body, as --cloud-frame says"
+            )
+        elif source is not None and source.notice:
             self.problems.append(source.notice)
         kept = [entry for entry, keep in zip(entries, covered, strict=True) if keep]
         times = np.array([entry.time if stamped else entry.arrival for entry in kept], np.int64)
@@ -131,10 +144,39 @@ class Recording:
         """Motion of the body, None if no poses are recorded."""
         self.extrinsic: Transform = IDENTITY
         """Pose of the sensor in the body's frame."""
+        self._cloud_frame = cloud_frame
+        self._registered: RecordedPoses | None = None
         if source is not None:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
-        self._registered = self.poses if source is not None and source.in_world else None
+            if cloud_frame == "world" or (source.in_world and cloud_frame != "body"):
+                self._registered, self.extrinsic = self.poses, IDENTITY
+        if self._registered is None:
+            self._mount(contents, source, entries[0].file)
+
+    def _mount(self, contents: Contents, source: PoseSource | None, file: BagFile) -> None:
+        """Mount the sensor as the recording says, and turn the axes of frames whose names say that they differ."""
+        body, axes = self.cloud_frame, self.cloud_frame
+        if source is not None:
+            body, axes = source.body, source.body if source.is_joined else self.cloud_frame
+        elif file.mounting is not None:
+            self.extrinsic = Transform(file.mounting.position, file.mounting.quaternion)
+            self.problems.append(file.mounting.notice)
+            return
+        else:
+            body = axes = contents.transforms.carrier(self.cloud_frame, world="")
+            if body != self.cloud_frame and (joined := contents.transforms.between(body, self.cloud_frame)):
+                self.extrinsic = joined
+                self.problems.append(f"the sensor is mounted on {body!r} by /tf_static; --extrinsic replaces this")
+        if found := other_axes(axes):
+            turn = Transform(np.zeros(3), found.rotation)
+            self.extrinsic = Transform(*compose_transforms(*turn, *self.extrinsic))
+            self.problems.append(
+                f"the axes of {axes!r} are {found.name} by its name: points are turned to forward, left, up; "
+                "--extrinsic replaces this"
+            )
+        if self.poses is not None and (found := other_axes(body)):
+            self.poses = self.poses.turned(found.rotation)
 
     def _join_frames(self, contents: Contents) -> dict[str, Transform]:
         """Return the poses of other frames of the sweeps in `cloud_frame`, and report those that are not known."""
@@ -198,6 +240,9 @@ class Recording:
             origin: where they come from.
         """
         self.poses, self.pose_topic, self.pose_origin = poses, name, origin
+        if self._cloud_frame == "world":
+            self._registered = poses
+            self._cached_sweep.cache_clear()
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
 
     @property
@@ -206,6 +251,11 @@ class Recording:
         numbers = [entry.file.number(entry.position) for entry in self._entries]
         known = [number for number in numbers if number is not None]
         return known if len(set(known)) == len(numbers) else None
+
+    @property
+    def is_in_world(self) -> bool:
+        """True if the clouds were recorded in the frame of the world, and are moved to the body by the poses."""
+        return self._registered is not None
 
     @property
     def changes(self) -> tuple[bytes, ...]:

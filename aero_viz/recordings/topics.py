@@ -57,6 +57,10 @@ class PoseSource(NamedTuple):
     """Time in seconds from the first sweep."""
     extrinsic: Transform
     """Pose of the LiDAR in the body's frame."""
+    body: str
+    """Frame of the body."""
+    is_joined: bool
+    """True if the recording says where the LiDAR is in the body's frame; else the two are assumed to be the same."""
     notice: str
     """Notice for the user about the extrinsic; empty if there is nothing to say."""
     in_world: bool = False
@@ -229,17 +233,18 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
             return None
         poses, notice = _without_outliers(name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
         in_world = _IN_WORLD.format(frame=frame, topic=name) if body.in_world else ""
-        return PoseSource(name, poses, body.extrinsic, "; ".join(filter(None, (notice, in_world))), body.in_world)
+        text = "; ".join(filter(None, (notice, in_world)))
+        return PoseSource(name, poses, body.extrinsic, body.frame, True, text, body.in_world)
     rows = track.samples.rows()
     times = np.asarray((track.samples.times(stamped=stamped) - start) * 1e-9, np.float64)
     poses, outliers = _without_outliers(name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
-    extrinsic, notice, in_world = IDENTITY, "", False
+    extrinsic, notice, in_world, is_joined = IDENTITY, "", False, True
     body = track.child or contents.transforms.carrier(frame, world=track.parent)
     if track.parent == frame != track.child:
         notice, in_world = _IN_WORLD.format(frame=frame, topic=name), True
     elif body != frame:
         joined = contents.transforms.between(body, frame)
-        extrinsic = joined or IDENTITY
+        extrinsic, is_joined = joined or IDENTITY, joined is not None
         if not track.child:
             notice = (
                 f"poses on {name} do not name their frame: they are taken for those of {body!r}, which carries "
@@ -251,7 +256,7 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
                 "two: they are assumed to be the same frame"
             )
     notices = filter(None, (_other_tracks(track), outliers, notice))
-    return PoseSource(name, poses, extrinsic, "; ".join(notices), in_world)
+    return PoseSource(name, poses, extrinsic, body, is_joined, "; ".join(notices), in_world)
 
 
 def _other_tracks(track: _Track) -> str:
