@@ -173,7 +173,9 @@ def foxglove_ros(seconds: float, points: np.ndarray, offsets: np.ndarray, positi
     return Item("/foxglove", "foxglove_msgs/msg/PointCloud", stamp, build)
 
 
-def livox(seconds: float, points: np.ndarray, offsets: np.ndarray, package="livox_ros_driver2") -> Item:
+def livox(
+    seconds: float, points: np.ndarray, offsets: np.ndarray, package="livox_ros_driver2", *, lidar: int = 0
+) -> Item:
     """Return a CustomMsg of points [n, 3] measured `offsets` [n] [ns] after its stamp."""
     stamp = START + round(seconds * 1e9)
 
@@ -184,7 +186,7 @@ def livox(seconds: float, points: np.ndarray, offsets: np.ndarray, package="livo
             for p, t in zip(points, offsets, strict=True)
         ]  # fmt: skip
         return make(store, f"{package}/msg/CustomMsg", header=header(store, ros1, stamp, "lidar"),
-                    timebase=stamp, point_num=len(rows), lidar_id=0, rsvd=np.zeros(3, np.uint8),
+                    timebase=stamp, point_num=len(rows), lidar_id=lidar, rsvd=np.zeros(3, np.uint8),
                     points=rows)  # fmt: skip
 
     return Item("/livox/lidar", f"{package}/msg/CustomMsg", stamp, build)

@@ -85,6 +85,8 @@ class BagFile(ABC):
         """Definitions of types of ROS 2 messages that the file holds, as far as they were found."""
         self.mounting: Mounting | None = None
         """Pose of the sensor in the body's frame, where the file has one."""
+        self.is_of_chosen_sensor = False
+        """True if only the messages of one sensor are read, which was chosen when the file was opened."""
         self.damaged = 0
         """Number of records and chunks that could not be read."""
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.input_limits import LimitExceeded, ReadingBudget
 from aero_viz.point_times import point_times
-from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
+from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message, Mounting
 from aero_viz.recordings.bin_files import find_layout, parse_columns, read_bin
 from aero_viz.recordings.cloud_times import STAMP_END, number_in_name
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
@@ -208,14 +208,27 @@ class PacketClouds(CloudSequence):
         sweeps: the sweeps; all are taken at once. EOFError says that the file is truncated, and ValueError that it is
             damaged.
         imu: filled while the sweeps are taken; None without an IMU. The position of a sample is -1 - its number.
+        mounting: pose of the sensor, where the file has one.
+        notice: sentence for the user about the sensor.
 
     Raises:
         UserError: the temporary folder is too small.
     """
 
-    def __init__(self, path: Path, topic: str, sweeps: Iterable[StampedCloud], *, imu: ImuRows | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topic: str,
+        sweeps: Iterable[StampedCloud],
+        *,
+        imu: ImuRows | None = None,
+        mounting: Mounting | None = None,
+        notice: str = "",
+    ) -> None:
         self._imu = imu
         super().__init__(path, topic, path.stat().st_size)
+        self.mounting, self.is_of_chosen_sensor = mounting, True
+        self.notices += [notice] if notice else []
         self._spool = tempfile.TemporaryFile(prefix="aero-viz-")  # noqa: SIM115
         self._rows: list[tuple[int, int, int, bool]] = []  # stamp [ns], offset in the spool, points, times
         try:

@@ -9,16 +9,17 @@ from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.cloud_files import CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.cloud_times import FIRST_STAMP
 from aero_viz.recordings.imu_messages import ImuRows
-from aero_viz.recordings.ouster import ouster_sweeps
+from aero_viz.recordings.lvx2 import LVX_MAGIC, find_sensor, lvx2_packets
+from aero_viz.recordings.ouster import OusterSensor, ouster_sweeps
 from aero_viz.recordings.packets import (
-    LVX_MAGIC,
     livox_sweeps,
-    lvx2_packets,
+    packets_of_sensor,
     pcap_kind,
     pcap_livox_packets,
-    velodyne_sweeps,
+    velodyne_packets,
 )
 from aero_viz.recordings.pcap import PCAP_MAGICS
+from aero_viz.recordings.velodyne import velodyne_sweeps
 from aero_viz.scenes.map_files import MAP_SUFFIXES
 
 _MAGICS = {
@@ -30,7 +31,7 @@ _MAGICS = {
     b"LASF": ".las",
     b"\x93NUMPY": ".npy",
 }
-_PCAPNG = b"\x0a\x0d\x0d\x0a"
+_LIVOX = "/livox/lidar"
 _ULOG = b"ULog"
 _OSF = b"OSF"
 
@@ -48,24 +49,26 @@ def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> t
     """
     suffix = path.suffix.lower()
     if start.startswith(LVX_MAGIC):
-        return "lvx2", PacketClouds(path, "/livox/lidar", livox_sweeps(lvx2_packets(path)))
+        sensor = find_sensor(path, choices.sensor)
+        sweeps = livox_sweeps(lvx2_packets(path, sensor))
+        return "lvx2", PacketClouds(path, _LIVOX, sweeps, mounting=sensor.mounting, notice=sensor.notice)
     if start.startswith(PCAP_MAGICS):
         kind = pcap_kind(path)
         if kind == "ouster":
-            return "ouster-pcap", _ouster_clouds(path, is_osf=False)
+            return "ouster-pcap", _ouster_clouds(path, choices, is_osf=False)
+        captured = packets_of_sensor(path, kind, choices.sensor)
         if kind == "livox":
             imu = ImuRows("/livox/imu")
-            sweeps = livox_sweeps(pcap_livox_packets(path, imu))
-            return "livox-pcap", PacketClouds(path, "/livox/lidar", sweeps, imu=imu)
-        return "velodyne-pcap", PacketClouds(path, "/velodyne_points", velodyne_sweeps(path))
-    if start.startswith(_PCAPNG):
-        raise UserError(f"{path} is a pcapng capture: convert it with `editcap -F pcap {path.name} OUT.pcap`.")
+            sweeps = livox_sweeps(pcap_livox_packets(captured.datagrams(), imu))
+            return "livox-pcap", PacketClouds(path, _LIVOX, sweeps, imu=imu, notice=captured.notice)
+        sweeps = velodyne_sweeps(path, velodyne_packets(captured.datagrams()))
+        return "velodyne-pcap", PacketClouds(path, "/velodyne_points", sweeps, notice=captured.notice)
     if start.startswith(_ULOG):
         raise UserError(
             f"{path} is a log of PX4, which has no clouds: `aero-viz inspect` checks it, and --poses plays it."
         )
     if start[8:11] == _OSF:
-        return "osf", _ouster_clouds(path, is_osf=True)
+        return "osf", _ouster_clouds(path, choices, is_osf=True)
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
     if found is None and suffix not in (".bin", ".xyz", ".pts"):
         return None
@@ -76,6 +79,9 @@ def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> t
     return suffix.lstrip("."), clouds
 
 
-def _ouster_clouds(path: Path, *, is_osf: bool) -> PacketClouds:
-    imu = ImuRows("/ouster/imu")
-    return PacketClouds(path, "/ouster/points", ouster_sweeps(path, imu, is_osf=is_osf), imu=imu)
+def _ouster_clouds(path: Path, choices: Choices, *, is_osf: bool) -> PacketClouds:
+    imu, sensor = ImuRows("/ouster/imu"), OusterSensor(choices.sensor)
+    clouds = PacketClouds(path, "/ouster/points", ouster_sweeps(path, imu, sensor, is_osf=is_osf), imu=imu)
+    clouds.mounting = sensor.mounting
+    clouds.notices += [sensor.notice] if sensor.notice else []
+    return clouds

@@ -37,6 +37,8 @@ class RawCloud(NamedTuple):
     """View of the message as structured array [height, width] with the fields x, y, z and, if recorded, time."""
     notice: str = ""
     """Assumption about such clouds, for the user."""
+    sensor: str = ""
+    """Name of the sensor, where the message has one besides its frame."""
 
 
 class DecodedPoints(NamedTuple):

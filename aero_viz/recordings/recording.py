@@ -21,6 +21,7 @@ from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
+from aero_viz.recordings.sensors import choose_sensor
 from aero_viz.recordings.storage import Storage
 from aero_viz.recordings.topics import PoseSource, choose_cloud_topic, choose_poses, suggest_other_clouds
 from aero_viz.recordings.transforms import IDENTITY, Transform
@@ -67,15 +68,17 @@ class Recording:
         """Name of the format, such as "mcap", "rosbag2-sqlite3" or "lvx2"."""
         self.problems: list[str] = list(contents.problems)
         """Notices for the user, one sentence each."""
-        cloud = choose_cloud_topic(contents, points_topic)
+        cloud, notice = choose_cloud_topic(contents, points_topic)
+        self.problems += [notice] if notice else []
         self.points_topic = cloud.name
         self._type, self._encoding = cloud.type, cloud.encoding
-        entries = sorted((entry for entry in cloud.clouds if entry.count), key=lambda entry: entry.time)
+        clouds = [entry for entry in cloud.clouds if entry.count]
+        entries = sorted(self._of_one_sensor(clouds, contents, storage.choices.sensor), key=lambda entry: entry.time)
         if not entries:
             advice = suggest_other_clouds(contents, cloud)
             raise UserError(f"No sweep on {cloud.name} of {self.path} has a point{advice}.")
-        if len(entries) < len(cloud.clouds):
-            empty = len(cloud.clouds) - len(entries)
+        if len(clouds) < len(cloud.clouds):
+            empty = len(cloud.clouds) - len(clouds)
             self.problems.append(f"{empty} of {len(cloud.clouds)} sweeps on {cloud.name} have no points: left out")
         self._set_timeline(contents, entries, pose_topic, storage.choices.cloud_frame)
         self.sweep_counts = np.array([entry.count for entry in self._entries], np.int64)
@@ -178,18 +181,27 @@ class Recording:
         if self.poses is not None and (found := other_axes(body)):
             self.poses = self.poses.turned(found.rotation)
 
+    def _of_one_sensor(self, entries: list[CloudEntry], contents: Contents, wanted: str | None) -> list[CloudEntry]:
+        """Return the clouds of one sensor. Those in frames that static transforms join count as those of one."""
+        roots: dict[str, str] = {}
+        for frame in dict.fromkeys(entry.frame for entry in entries):
+            joined = (root for root in roots.values() if contents.transforms.between(root, frame) is not None)
+            roots[frame] = next(joined, frame)
+        points: dict[str, int | None] = {}
+        names = [" ".join(filter(None, (roots[entry.frame], entry.sensor))) for entry in entries]
+        for name, entry in zip(names, entries, strict=True):
+            points[name] = (points.get(name) or 0) + entry.count
+        is_settled = bool(entries) and entries[0].file.is_of_chosen_sensor
+        if len(points) < 2 and (wanted is None or is_settled or not points):
+            return entries
+        chosen, notice = choose_sensor(points, None if is_settled else wanted, f"{self.points_topic} of {self.path}")
+        self.problems += [notice] if notice else []
+        return [entry for name, entry in zip(names, entries, strict=True) if name == chosen]
+
     def _join_frames(self, contents: Contents) -> dict[str, Transform]:
-        """Return the poses of other frames of the sweeps in `cloud_frame`, and report those that are not known."""
+        """Return the poses of other frames of the sweeps in `cloud_frame`."""
         frames = dict.fromkeys(entry.frame for entry in self._entries if entry.frame != self.cloud_frame)
         poses = {frame: contents.transforms.between(self.cloud_frame, frame) for frame in frames}
-        unknown = [frame for frame, pose in poses.items() if pose is None]
-        if unknown:
-            names = ", ".join(repr(frame) for frame in unknown[:3]) + (" and others" if len(unknown) > 3 else "")
-            count = sum(entry.frame in set(unknown) for entry in self._entries)
-            self.problems.append(
-                f"{count} of {len(self._entries)} sweeps on {self.points_topic} are in {names}, the first is in "
-                f"{self.cloud_frame!r}, and no static transform joins them: they are assumed to be the same frame"
-            )
         return {frame: pose for frame, pose in poses.items() if pose is not None}
 
     def _sampled_clouds(self) -> Iterator[RawCloud]:

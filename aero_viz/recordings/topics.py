@@ -103,23 +103,32 @@ def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: 
             _find_topic(contents, name, role)
 
 
-def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
-    """Return the topic with the sweeps: the named one or the one with the most clouds.
+def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicContents, str]:
+    """Return the topic with the sweeps, the named one or the one with the most points, and a notice on the others.
 
-    Clouds that are already in the frame of the world come last, and before them planar scans.
+    Clouds that are already in the frame of the world come last, before them planar scans, and before these single
+    clouds, which may be maps.
 
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
     """
     worlds = {parent for topic in contents.topics for parent, _ in topic.poses if parent}.union(FIXED_FRAMES)
 
-    def order(topic: TopicContents) -> tuple[bool, bool, int, str]:
+    def order(topic: TopicContents) -> tuple[bool, bool, bool, int, str]:
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
-        return placed, topic.type == LASER_SCAN, -len(topic.clouds), topic.name
+        return placed, topic.type == LASER_SCAN, len(topic.clouds) < 2, -_points(topic), topic.name
 
     topics = sorted(contents.topics_with(CLOUD_TYPES), key=order)
+    others = [topic for topic in topics[1:] if topic.clouds]
+    notice = ""
     if name is not None:
         topics = [_find_topic(contents, name, "points")]
+    elif others:
+        seconds = max(contents.duration, 1e-3)
+        rates = [f"{topic.name} ({_points(topic) / seconds:.0f} points a second)" for topic in (topics[0], *others)]
+        notice = (
+            f"of {len(rates)} topics of clouds, {rates[0]} is played; --points-topic plays {_join(rates[1:], ', ')}"
+        )
     if not topics:
         held = _join([f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics], ", ") or "no topics"
         present = [topic.type for topic in contents.topics if topic.count]
@@ -131,7 +140,11 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
         raise UserError(f"No cloud on {topics[0].name} of {contents.path} can be read: {reason}.")
-    return topics[0]
+    return topics[0], notice
+
+
+def _points(topic: TopicContents) -> int:
+    return sum(cloud.count for cloud in topic.clouds)
 
 
 def choose_poses(

@@ -176,7 +176,7 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "editcap -F pcap"),
+        ("new.pcap", b"\x0a\x0d\x0d\x0a" + bytes(20), "it has none of UDP"),
         ("flight.ulg", b"ULog\x01\x12\x35\x01", "flight.ulg cannot be read"),
         ("odd.bin", bytes(17), "no rows that start with x, y, z"),
         ("random.bin", np.random.default_rng(0).bytes(16_000), "within the range of any LiDAR"),
