@@ -142,6 +142,7 @@ class CloudFiles(CloudSequence):
         if self._offset.any():
             x, y, z = self._offset
             self.notices.append(f"the cloud is in map coordinates: ({x:.0f}, {y:.0f}, {z:.0f}) m are subtracted")
+        self.notices += [units.notice] if units.notice else []
         if not units.is_named:
             self.notices.append("the file names no coordinate system: its coordinates are assumed to be metres")
         if (units.horizontal, units.vertical) != (1.0, 1.0):

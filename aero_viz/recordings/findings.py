@@ -35,6 +35,8 @@ _PAUSE = 60.0
 """Recorders that lose sweeps go on sooner [s]."""
 _FAR = 1000.0
 """Half of the points of a LiDAR are nearer [m]."""
+_FLAT = 0.02
+"""Thickness below which the points of a sweep lie in a plane [m], or as a share of the width."""
 _JUMP, _TURN = 0.5, np.radians(25.0)
 _MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
 _CERTAIN = 5.0
@@ -119,8 +121,8 @@ def find_faults(recording: Recording) -> list[Finding]:
     fixed = [found for found in (check_cloud_frame(recording, poses),) if found is not None]
     # Sweeps that do not move with the body, or poses that jump, say nothing about offsets.
     if not fixed and not any(finding.code == "pose-jumps" for finding in found):
-        estimate = estimate_misalignment(recording, poses)
-        found += [] if estimate is None else _offsets(estimate)
+        estimate = None if _is_flat(recording) else estimate_misalignment(recording, poses)
+        found += [] if estimate is None else _offsets(estimate, _turn_during_sweep(recording, poses))
     return sorted(fixed + found, key=lambda finding: not finding.is_fault)
 
 
@@ -271,7 +273,29 @@ def _sampled_on_the_way(positions: NDArray[np.float64]) -> list[int]:
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _SAMPLES))).tolist()
 
 
-def _offsets(estimate: Misalignment) -> Iterator[Finding]:
+def _is_flat(recording: Recording) -> bool:
+    """Return True if most sweeps lie in a plane, as those of a planar scanner do, and show no surfaces."""
+    flat = []
+    for index in _sampled(len(recording.sweep_times)):
+        points = recording.sweep(index).points.astype(np.float64)
+        if len(points) > 2:
+            spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
+            flat.append(spread[0] < max(_FLAT, _FLAT * spread[1]))
+    return bool(flat) and bool(np.mean(flat) > 0.5)
+
+
+def _turn_during_sweep(recording: Recording, poses: RecordedPoses) -> float:
+    """Return the angle by which the body usually turns during a sweep whose points have no times [rad]."""
+    times = recording.sweep_times
+    if len(times) < 2 or any(recording.sweep(i).point_times is not None for i in (0, len(times) // 2)):
+        return 0.0
+    _, quaternions = poses.track.interpolate(times)
+    turns = rotation_vector(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
+    return float(np.median(np.linalg.norm(turns, axis=1)))
+
+
+def _offsets(estimate: Misalignment, turn: float) -> Iterator[Finding]:
+    """Yield findings on the offsets; turning by the angle `turn` [rad] during a sweep looks like a wrong mounting."""
     if estimate.after > _IMPROVEMENT * estimate.before:
         return
     evidence = f"points then lie {100 * estimate.after:.1f} instead of {100 * estimate.before:.1f} cm from the surfaces"
@@ -285,7 +309,7 @@ def _offsets(estimate: Misalignment) -> Iterator[Finding]:
             "synchronize the clocks of sensor and estimator (PTP), or correct the stamps where they are published",
         )
     angle = np.abs(estimate.rotation)
-    if (angle > np.maximum(_MIN_ROTATION, _CERTAIN * estimate.rotation_deviation)).any():
+    if (angle > np.maximum(_MIN_ROTATION + turn, _CERTAIN * estimate.rotation_deviation)).any():
         roll, pitch, yaw = np.degrees(estimate.rotation)
         yield Finding(
             "extrinsic",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -128,11 +128,10 @@ def read_solids(path: str | Path, *, pixel: float | None = None) -> Solids:
 
 
 def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None = None) -> Points:
-    with _named(path, noun):
-        if process is not None:
-            return process.decode(path, content)
-        with DecodingProcess() as own:
-            return own.decode(path, content)
+    with _named(path, noun), nullcontext(process) if process is not None else DecodingProcess() as decoder:
+        if path.suffix.lower() in (".las", ".laz") and (notice := decoder.las_units(path).notice):
+            _logger.warning("%s: %s", path, notice)
+        return decoder.decode(path, content)
 
 
 @contextmanager
