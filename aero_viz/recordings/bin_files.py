@@ -13,6 +13,7 @@ from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX
 from aero_viz.recordings.point_cloud2 import valid_points
+from aero_viz.scenes.decoder_checks import refuse_pointer
 
 _SAMPLED = 5
 """Number of files from which the layout of a folder is found."""
@@ -156,6 +157,7 @@ def _samples(files: list[Path]) -> list[bytes]:
 
 def _read(path: Path, limit: int) -> bytes:
     try:
+        refuse_pointer(path)
         with open_user_file(path) as file:
             return file.read(limit)
     except OSError as error:

@@ -25,9 +25,10 @@ from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, 
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_timed_points
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES, find_text_layout
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
-"""Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`."""
+"""Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`. Texts may hold clouds, too."""
 _FRAME = "lidar"
 _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
@@ -132,6 +133,8 @@ class CloudFiles(CloudSequence):
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
+            if self._suffix in TEXT_SUFFIXES:
+                self.notices.append(str(find_text_layout(file)))
             is_las = self._suffix in (".las", ".laz")
             units = self._process.las_units(file) if is_las else LasUnits()
         except BaseException:

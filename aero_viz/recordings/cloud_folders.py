@@ -13,10 +13,13 @@ from aero_viz.recordings.bag_file import list_names
 from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.cloud_files import CLOUD_SUFFIXES, CloudFiles
 from aero_viz.recordings.cloud_times import order_clouds, stamps_in_names
+from aero_viz.recordings.text_files import is_text_cloud, refuse_poses
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES
 
 _SUBFOLDERS = ("", "velodyne", "velodyne_points/data", "data", "points", "lidar", "clouds", "scans")
 _POSES = ("poses.txt", "pose.txt", "trajectory.txt", "groundtruth.txt", "gt.txt", "tum.txt")
 _POSES += ("poses.csv", "global_pose.csv", "registered_poses.csv", "groundtruth.csv", "trajectory.csv", "gt.csv")
+_NO_CLOUDS = (*_POSES, "times.txt", "timestamps.txt", "calib.txt")
 _DEPTH, _ENTRIES_MAX = 3, 20_000
 """Depth to which clouds are searched for in a folder that holds none, and number of entries that are looked at."""
 
@@ -88,9 +91,21 @@ def _find_poses(places: list[Path]) -> Path | None:
 
 
 def _named_clouds(folder: Path) -> list[Path]:
-    """Return the files in a folder whose names are those of clouds, none if all are links to nothing."""
-    named = [file for file in folder.iterdir() if file.suffix.lower() in CLOUD_SUFFIXES and not file.is_dir()]
-    return named if any(file.exists() for file in named) else []
+    """Return the files in a folder whose names are those of clouds, none if all are links to nothing.
+
+    Texts count only where there are no others: they may be labels, poses or times.
+    """
+    files = [file for file in folder.iterdir() if not file.is_dir()]
+    named = [file for file in files if file.suffix.lower() in CLOUD_SUFFIXES]
+    if any(file.exists() for file in named):
+        return named
+    texts = sorted(file for file in files if file.suffix.lower() in TEXT_SUFFIXES and file.name not in _NO_CLOUDS)
+    try:
+        for file in texts[:1]:
+            refuse_poses(file)
+    except UserError:
+        return []
+    return texts if texts and texts[0].exists() and is_text_cloud(texts[0]) else []
 
 
 def _folders_below(path: Path) -> list[Path]:

@@ -19,8 +19,10 @@ from aero_viz.recordings.packets import (
     velodyne_packets,
 )
 from aero_viz.recordings.pcap import PCAP_MAGICS
+from aero_viz.recordings.text_files import is_text_cloud, refuse_poses
 from aero_viz.recordings.velodyne import velodyne_sweeps
 from aero_viz.scenes.map_files import MAP_SUFFIXES
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES
 
 _MAGICS = {
     b"# .PCD": ".pcd",
@@ -70,7 +72,10 @@ def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> t
     if start[8:11] == _OSF:
         return "osf", _ouster_clouds(path, choices, is_osf=True)
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
-    if found is None and suffix not in (".bin", ".xyz", ".pts"):
+    is_text = found is None and suffix in TEXT_SUFFIXES
+    if is_text:
+        refuse_poses(path)
+    if found is None and suffix != ".bin" and not (is_text and is_text_cloud(path)):
         return None
     suffix = found if found is not None and (found, suffix) != (".las", ".laz") else suffix
     clouds = CloudFiles(path, [path], [FIRST_STAMP], suffix, columns=choices.columns)

@@ -21,6 +21,7 @@ from aero_viz.recordings.oxts import oxts_mount, read_oxts
 from aero_viz.recordings.pose_tables import PoseTable, read_pose_text
 from aero_viz.recordings.poses import POSE_TOLERANCE, RecordedPoses
 from aero_viz.recordings.transforms import IDENTITY
+from aero_viz.scenes.decoder_checks import refuse_pointer
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
@@ -46,6 +47,7 @@ def read_pose_file(path: Path) -> PoseTable:
     if is_oxts(path):
         return PoseTable("KITTI's oxts", *read_oxts(path), is_in_seconds=True)
     try:
+        refuse_pointer(path)
         with open_user_file(path) as file:
             is_ulog = file.read(len(ULOG_MAGIC)) == ULOG_MAGIC
             file.seek(0)

@@ -20,6 +20,7 @@ from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_fi
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
+from aero_viz.scenes.decoder_checks import refuse_pointer
 
 if TYPE_CHECKING:
     from aero_viz.recordings.cloud_folders import CloudFolder
@@ -105,6 +106,7 @@ class Storage:
             path: a recording, or one that rosbag2 compressed as a whole.
             packed: the compressed file that `path` was made from, by which the user knows it.
         """
+        refuse_pointer(path)
         with open_user_file(path) as file:
             start = file.read(_START)
         name = packed or path
