@@ -131,7 +131,9 @@ def _sampled(count: int) -> list[int]:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
+    """Return how many follow one another in a second [Hz]. The first step may be shorter, after a partial sweep."""
     steps = np.diff(times)
+    steps = steps[1:] if len(steps) > 1 else steps
     return float(1.0 / np.median(steps)) if len(steps) and np.median(steps) > 0.0 else None
 
 
