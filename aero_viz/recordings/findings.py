@@ -33,6 +33,8 @@ _GAP = 1.6
 """A gap between two sweeps that is longer than this many median periods lacks at least one sweep."""
 _PAUSE = 60.0
 """Recorders that lose sweeps go on sooner [s]."""
+_TILES = ("las", "laz")
+"""Formats of tiles of maps, whose unit is known."""
 _FAR = 1000.0
 """Half of the points of a LiDAR are nearer [m]."""
 _FLAT = 0.02
@@ -172,11 +174,14 @@ def _units(recording: Recording) -> Iterator[Finding]:
     ranges = np.linalg.norm(np.concatenate([sweep.points for sweep in sweeps]), axis=1)
     if len(ranges) and np.median(ranges) > _FAR:
         dropped = sum(sweep.dropped for sweep in sweeps)
+        is_tile = recording.format in _TILES
         yield Finding(
             "units",
             f"half of the points are farther away than {np.median(ranges):.0f} m, and "
             f"{100 * dropped / (dropped + len(ranges)):.0f} % are left out because they are invalid or beyond 10 km",
-            "convert the coordinates to metres where the cloud is published; they are probably millimetres",
+            f"this is a map and no sweep; fly through it with `aero-viz demo {recording.path.name}`"
+            if is_tile
+            else "convert the coordinates to metres where the cloud is published; they are probably millimetres",
         )
 
 

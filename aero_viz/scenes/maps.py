@@ -257,7 +257,8 @@ def _choose_ends(
 def _best_position(axes: list[Array], allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
     if not allowed.any():
         raise UserError(
-            f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}; give start and goal."
+            f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}: crop it, or give "
+            "--start and --goal to demo or fly."
         )
     index = np.unravel_index(np.argmax(np.where(allowed, score, -np.inf)), score.shape)
     return np.array([axis[i] for axis, i in zip(axes, index, strict=True)])

@@ -179,7 +179,7 @@ def test_a_full_disk_behind_stdout_is_reported_in_one_line():
         ["inspect", "missing.bag"],
         ["fly", "forrest"],
         ["convert", "missing.bag", "out.mcap"],
-        ["score", "no.csv", "no.json"],
+        ["explain", "no.mcap"],
     ],
 )
 def test_json_holds_the_message_of_a_refusal(capsys: pytest.CaptureFixture[str], arguments: list[str]):
