@@ -12,7 +12,7 @@ import tyro
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name
-from aero_viz.catalog import is_map, load_world
+from aero_viz.catalog import is_bag, is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
@@ -259,10 +259,10 @@ class WorldFlags:
         Raises:
             UserError: the world does not exist or is malformed, or a flag does not apply to it.
         """
-        if self.voxel is not None and not is_map(spec):
+        if self.voxel is not None and not (is_map(spec) or is_bag(spec)):
             raise UserError(
                 f"--voxel applies to point-cloud maps and images only, and {spec} is neither; leave it out."
             )
-        if self.voxel is not None and not has_voxels(spec):
+        if self.voxel is not None and not (has_voxels(spec) or is_bag(spec)):
             raise UserError(f"{spec} has no voxels; leave --voxel out.")
         return load_world(spec, seed=seed, **vars(self))

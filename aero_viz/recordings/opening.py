@@ -105,6 +105,10 @@ def configure_recording(
         add_poses(recording, Path(poses))
     elif odometry != "none" and (recording.poses is None or odometry != "auto"):
         _add_odometry(recording, storage, contents, odometry, progress)
+    if len(recording.sweep_times) == 1 and storage.format.startswith(("mcap", "rosbag")):
+        recording.problems.append(
+            f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {recording.path.name}"
+        )
     if recording.is_in_world and recording.poses is not None:
         from aero_viz.recordings.cloud_frame import turns_with_body
 

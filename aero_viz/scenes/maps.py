@@ -41,6 +41,7 @@ def load_map(
     start: ArrayLike | None = None,
     goal: ArrayLike | None = None,
     across: bool = False,
+    points: Array | None = None,
 ) -> World:
     """Return the world of a point map (see `read_points`), a mesh (see `read_mesh`) or solids (see `read_solids`).
 
@@ -58,6 +59,7 @@ def load_map(
         goal: [m], [3], in the frame of the map. None chooses the farthest such position within 45 m of the start that
             a drone of radius 0.5 m can reach.
         across: True chooses start and goal at the two ends of the longest side instead, as far apart as possible.
+        points: points of the map [n, 3] [m] that were read from the file before; None reads them.
 
     Raises:
         UserError: the file cannot be read, an argument is out of range, or there is no free start or goal.
@@ -66,8 +68,12 @@ def load_map(
         raise UserError(
             f"The voxels of the map {path} have an edge of {voxel!r} m; it must be in {list(VOXEL_RANGE)} m."
         )
-    is_solids = Path(path).suffix.lower() in SOLID_SUFFIXES
-    points, tables = _read_solids(path, voxel) if is_solids else _read_map(path, voxel)
+    if points is not None:
+        points, tables = _read_map(path, voxel, points)
+    elif Path(path).suffix.lower() in SOLID_SUFFIXES:
+        points, tables = _read_solids(path, voxel)
+    else:
+        points, tables = _read_map(path, voxel, read_map(path))
     # Maps in geographic coordinates are recentred in double precision.
     shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
     points = points - shift
@@ -84,9 +90,8 @@ def load_map(
         raise UserError(f"Cannot make a world of the map {path}: {error}") from error
 
 
-def _read_map(path: str | Path, voxel: float | None) -> tuple[Array, dict[str, Array]]:
-    """Return the points of a map or points on a mesh [n, 3], and the tables of its world."""
-    table = read_map(path)
+def _read_map(path: str | Path, voxel: float | None, table: Array) -> tuple[Array, dict[str, Array]]:
+    """Return points of a map or on a mesh [n, 3], and the tables of its world; `table` is a result of `read_map`."""
     if table.shape[1] == 9:
         if voxel is not None:
             raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
