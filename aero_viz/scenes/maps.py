@@ -69,21 +69,21 @@ def load_map(
             f"The voxels of the map {path} have an edge of {voxel!r} m; it must be in {list(VOXEL_RANGE)} m."
         )
     if points is not None:
-        points, tables = _read_map(path, voxel, points)
+        cloud, tables = _read_map(path, voxel, points)
     elif Path(path).suffix.lower() in SOLID_SUFFIXES:
-        points, tables = _read_solids(path, voxel)
+        cloud, tables = _read_solids(path, voxel)
     else:
-        points, tables = _read_map(path, voxel, read_map(path))
+        cloud, tables = _read_map(path, voxel, read_map(path))
     # Maps in geographic coordinates are recentred in double precision.
-    shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
-    points = points - shift
+    shift = np.floor(cloud.min(axis=0)) if np.abs(cloud).max() > _RECENTRE_BEYOND else np.zeros(3)
+    cloud = cloud - shift
     tables = {key: _moved(key, table, -shift) for key, table in tables.items()}
     start_position = None if start is None else _position(start, "start") - shift
     goal_position = None if goal is None else _position(goal, "goal") - shift
     try:
         if start_position is None or goal_position is None:
             start_position, goal_position = _choose_ends(
-                points, tables, start_position, goal_position, across=across, path=path
+                cloud, tables, start_position, goal_position, across=across, path=path
             )
         return World(Path(path).stem, start_position, goal_position, **tables)
     except ValueError as error:
