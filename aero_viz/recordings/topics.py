@@ -18,6 +18,7 @@ from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
 from aero_viz.recordings.transforms import FIXED_FRAMES, IDENTITY, PoseSamples, Transform
+from aero_viz.recordings.velodyne_scan import VELODYNE_SCAN
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *
 """Types of messages that fit each role of a topic, and the complaint about any other type."""
 
 _UNREAD = {
-    r"/(PacketMsg|UdpFrame|(velodyne|rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
+    r"/(PacketMsg|UdpFrame|(rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
         "record the clouds that the sensor's driver makes while it replays the packets"
     ),
     r"[/.]CompressedPointCloud2?$": (
@@ -107,7 +108,7 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicConte
     """Return the topic with the sweeps, the named one or the one with the most points, and a notice on the others.
 
     Clouds that are already in the frame of the world come last, before them planar scans, and before these single
-    clouds, which may be maps.
+    clouds, which may be maps, and packets, which may be those of another topic.
 
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
@@ -116,7 +117,13 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicConte
 
     def order(topic: TopicContents) -> tuple[bool, bool, bool, int, str]:
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
-        return placed, topic.type == LASER_SCAN, len(topic.clouds) < 2, -_points(topic), topic.name
+        return (
+            placed,
+            topic.type == LASER_SCAN,
+            len(topic.clouds) < 2 or topic.type == VELODYNE_SCAN,
+            -_points(topic),
+            topic.name,
+        )
 
     topics = sorted(contents.topics_with(CLOUD_TYPES), key=order)
     others = [topic for topic in topics[1:] if topic.clouds]

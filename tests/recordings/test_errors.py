@@ -63,7 +63,7 @@ def test_no_clouds(mcap_of):
     ("kind", "advice"),
     [
         ("ouster_ros/msg/PacketMsg", "driver makes while it replays the packets"),
-        ("velodyne_msgs/msg/VelodyneScan", "driver makes while it replays the packets"),
+        ("pandar_msgs/msg/PandarScan", "driver makes while it replays the packets"),
         ("rslidar_msgs/msg/rslidarScan", "driver makes while it replays the packets"),
         ("nebula_msgs/msg/NebulaPackets", "driver makes while it replays the packets"),
         ("point_cloud_interfaces/msg/CompressedPointCloud2", "point_cloud_transport republish"),
