@@ -121,7 +121,7 @@ def test_every_sweep_has_the_mounting_of_its_own_frame(mcap_of, is_joined):
         right = turned if is_joined else np.add(bags.wall(), [0, 0, 1])
         np.testing.assert_allclose(recording.sweep(1).points, right, atol=1e-5)
         assert len(recording.sweep_times) == (10 if is_joined else 5)
-        said = any("of 2 sensors, left (2500 points) is played; --sensor plays right" in t for t in recording.problems)
+        said = any("of 2 sensors, left (" in text and "--sensor plays right (" in text for text in recording.problems)
         assert said != is_joined
 
 
