@@ -23,6 +23,7 @@ _SHIPPED = {
     "room_mid360": "one recorded second in a room, Mid-360",
 }
 """Recordings in datasets/, with descriptions; `aero-viz play` opens the first. datasets/make.py writes them."""
+_BAGS = (".mcap", ".db3", ".bag")
 
 
 def shipped_recordings() -> dict[str, tuple[Path, str]]:
@@ -44,6 +45,11 @@ def is_recording(spec: str) -> bool:
     from aero_viz.scenes import SCENES
 
     return spec not in SCENES and _is_path(spec) and not (spec.endswith(".json") or is_map(spec))
+
+
+def is_bag(spec: str) -> bool:
+    """Return True for the file or folder of a bag, which is a world if it holds a single cloud."""
+    return Path(spec).exists() and (Path(spec).suffix.lower() in _BAGS or (Path(spec) / "metadata.yaml").is_file())
 
 
 def _is_path(spec: str) -> bool:
@@ -72,7 +78,7 @@ def load_world(
     goal: ArrayLike | None = None,
     across: bool = False,
 ) -> World:
-    """Return the world of a scene, a JSON file, a point map, a mesh, a Gazebo world or an occupancy image.
+    """Return the world of a scene, a JSON file, a point map, a mesh, a Gazebo world, an image, or a bag of one cloud.
 
     Args:
         spec: name of a scene, or path of a file.
@@ -94,6 +100,16 @@ def load_world(
         raise UserError(f"--count applies to generated scenes only, and {spec} is a file; leave it out.")
     if is_map(spec):
         return load_map(spec, voxel=voxel if has_voxels(spec) else None, start=start, goal=goal, across=across)
+    if is_file and is_bag(spec):
+        from aero_viz.recordings.map_cloud import read_map_cloud
+
+        try:
+            points = read_map_cloud(spec)
+        except UserError as error:
+            raise UserError(
+                f"{spec} is not a world: {error} If it is a recording, play it with: aero-viz play {spec}"
+            ) from error
+        return load_map(spec, voxel=voxel, start=start, goal=goal, across=across, points=points)
     world = _load_file(spec) if is_file else scene(spec, seed=seed, count=count)
     try:
         return replace(world, **{name: p for name, p in (("start", start), ("goal", goal)) if p is not None})

@@ -14,6 +14,12 @@ _NAMES += ("gpstime",)
 _FORMATS = ("i4", "u4", "f4", "f8", "i8", "u8")
 _MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
 """Limits of a sweep's duration [s]."""
+_WHOLE, _ROUNDING = 0.8, 1e-6
+"""Least share of a sweep from its first to its last point, and largest excess beyond its limits."""
+_SECOND = (0.7, 1.5)
+"""Times between sweeps that last a second [s]."""
+_USUAL_SWEEP = 0.1
+"""Duration of a sweep where sweeps are left out between those that were kept [s]."""
 
 
 def time_field(formats: Mapping[str, str]) -> str | None:
@@ -30,12 +36,17 @@ def time_field(formats: Mapping[str, str]) -> str | None:
     return next((plain[name] for name in _NAMES if name in plain), None)
 
 
-def time_unit(values: NDArray[np.generic]) -> float | None:
+def time_unit(values: NDArray[np.generic], period: float | None = None) -> float | None:
     """Return the unit of the times of a sweep's points [s], or None if the values make no sense as times.
 
     Drivers write seconds, milliseconds, microseconds or nanoseconds, and the message does not say which. A sweep lasts
     between 1 ms and 2 s: that settles the unit, unless only a small part of the sweep hit something. Of the sweeps of
-    one topic, the largest ones therefore settle it for all.
+    one topic, the largest ones therefore settle it for all. Times from 0 to 1 are seconds only if sweeps follow one
+    another that slowly; else they are shares of a sweep.
+
+    Args:
+        values: times of the points of one sweep.
+        period: time from one sweep to the next [s]; None where it is not known.
     """
     units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
     times = values.astype(np.float64)
@@ -43,6 +54,9 @@ def time_unit(values: NDArray[np.generic]) -> float | None:
     if not len(times):
         return None
     span = float(times.max() - times.min())
+    is_share = values.dtype.kind == "f" and times.min() >= -_ROUNDING and _WHOLE <= times.max() <= 1.0 + _ROUNDING
+    if period is not None and is_share and span >= _WHOLE and not _SECOND[0] <= period <= _SECOND[1]:
+        return min(period, _USUAL_SWEEP) if period > _SECOND[1] else period
     return next((unit for unit in units if _MIN_SWEEP <= span * unit <= _MAX_SWEEP), None)
 
 

@@ -51,11 +51,22 @@ uint8 type
 """
 
 
+_VELODYNE = """std_msgs/Header header
+velodyne_msgs/VelodynePacket[] packets
+================================================================================
+MSG: velodyne_msgs/VelodynePacket
+builtin_interfaces/Time stamp
+uint8[1206] data
+"""
+
+
 def _store(ros1: bool):
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     for name in ("livox_ros_driver2", "livox_ros_driver", "livox_interfaces"):
         store.register(get_types_from_msg(_LIVOX.replace("livox_ros_driver2", name), f"{name}/msg/CustomMsg"))
     store.register(get_types_from_msg(_FOXGLOVE, "foxglove_msgs/msg/PointCloud"))
+    velodyne = _VELODYNE.replace("builtin_interfaces/Time", "time") if ros1 else _VELODYNE
+    store.register(get_types_from_msg(velodyne, "velodyne_msgs/msg/VelodyneScan"))
     if ros1:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     return store
@@ -173,7 +184,9 @@ def foxglove_ros(seconds: float, points: np.ndarray, offsets: np.ndarray, positi
     return Item("/foxglove", "foxglove_msgs/msg/PointCloud", stamp, build)
 
 
-def livox(seconds: float, points: np.ndarray, offsets: np.ndarray, package="livox_ros_driver2") -> Item:
+def livox(
+    seconds: float, points: np.ndarray, offsets: np.ndarray, package="livox_ros_driver2", *, lidar: int = 0
+) -> Item:
     """Return a CustomMsg of points [n, 3] measured `offsets` [n] [ns] after its stamp."""
     stamp = START + round(seconds * 1e9)
 
@@ -184,10 +197,26 @@ def livox(seconds: float, points: np.ndarray, offsets: np.ndarray, package="livo
             for p, t in zip(points, offsets, strict=True)
         ]  # fmt: skip
         return make(store, f"{package}/msg/CustomMsg", header=header(store, ros1, stamp, "lidar"),
-                    timebase=stamp, point_num=len(rows), lidar_id=0, rsvd=np.zeros(3, np.uint8),
+                    timebase=stamp, point_num=len(rows), lidar_id=lidar, rsvd=np.zeros(3, np.uint8),
                     points=rows)  # fmt: skip
 
     return Item("/livox/lidar", f"{package}/msg/CustomMsg", stamp, build)
+
+
+def velodyne_scan(seconds: float, packets: list[tuple[float, bytes]], frame="velodyne") -> Item:
+    """Return a VelodyneScan of packets at times after `seconds` [s], whose header has the time of the last one."""
+    first = START + round(seconds * 1e9)
+    stamps = [first + round(1e9 * offset) for offset, _ in packets]
+
+    def build(store, ros1):
+        rows = []
+        for stamp, (_, data) in zip(stamps, packets, strict=True):
+            time = make(store, "builtin_interfaces/msg/Time", sec=stamp // 10**9, nanosec=stamp % 10**9)
+            rows.append(make(store, "velodyne_msgs/msg/VelodynePacket", stamp=time, data=np.frombuffer(data, np.uint8)))
+        head = header(store, ros1, stamps[-1], frame)
+        return make(store, "velodyne_msgs/msg/VelodyneScan", header=head, packets=rows)
+
+    return Item("/velodyne_packets", "velodyne_msgs/msg/VelodyneScan", stamps[-1], build)
 
 
 def odometry(seconds: float, position, wxyz=(1, 0, 0, 0), twist=(0, 0, 0), *, topic="/odom", child="lidar",

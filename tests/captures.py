@@ -1,6 +1,7 @@
 """Small captures of sensor packets, scans, clouds and logs of PX4, for the tests of recordings."""
 
 import importlib
+import socket
 import struct
 import zlib
 from pathlib import Path
@@ -28,20 +29,84 @@ def write_pcap(path: Path, datagrams: list[tuple[float, int, bytes]]) -> Path:
     return path
 
 
+def write_frames(
+    path: Path, frames: list[tuple[float, str, bytes]], *, link: str = "ethernet", ng: bool = False
+) -> Path:
+    """Write the packets of UDP that hosts send to port 56301 or 2368 [s, address and port, payload] over a link."""
+    packets = []
+    for time, name, payload in frames:
+        address, _, port = name.partition("/")
+        size = struct.pack(">HHHH", 40000, int(port), 8 + len(payload), 0) + payload
+        if ":" in address:
+            ip = b"\x60\0\0\0" + struct.pack(">HBB", len(size), 17, 64)
+            ip += socket.inet_pton(socket.AF_INET6, address) + bytes(16) + size
+        else:
+            ip = struct.pack(">BBHHHBBH", 0x45, 0, 20 + len(size), 0, 0, 64, 17, 0)
+            ip += socket.inet_aton(address) + bytes(4) + size
+        kind = b"\x86\xdd" if ":" in address else b"\x08\0"
+        header = {
+            "ethernet": bytes(12) + kind,
+            "vlan": bytes(12) + b"\x81\0\0\5" + kind,
+            "two vlans": bytes(12) + b"\x88\xa8\0\5\x81\0\0\6" + kind,
+            "cooked": bytes(14) + kind,
+            "cooked 2": kind + bytes(18),
+            "loopback": struct.pack("<I", 2),
+        }.get(link, b"")
+        packets.append((time, header + ip))
+    number = {"cooked": 113, "cooked 2": 276, "loopback": 0, "raw": 101, "raw of BSD": 12, "IP": 228}.get(link, 1)
+    if not ng:
+        data = b"\xd4\xc3\xb2\xa1" + struct.pack("<2H4I", 2, 4, 0, 0, 1 << 16, number)
+        for time, frame in packets:
+            data += struct.pack("<4I", int(time), round(1e6 * (time % 1)), len(frame), len(frame)) + frame
+        path.write_bytes(data)
+        return path
+
+    def block(kind: int, body: bytes) -> bytes:
+        body += bytes(-len(body) % 4)
+        return struct.pack("<2I", kind, 12 + len(body)) + body + struct.pack("<I", 12 + len(body))
+
+    data = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1))
+    data += block(1, struct.pack("<HHI", number, 0, 1 << 16) + struct.pack("<HHB3xI", 9, 1, 9, 0))
+    data += block(5, bytes(12))
+    for time, frame in packets:
+        stamp = round(1e9 * time)
+        data += block(6, struct.pack("<5I", 0, stamp >> 32, stamp & 0xFFFFFFFF, len(frame), len(frame)) + frame)
+    path.write_bytes(data)
+    return path
+
+
 def livox_packets(sweeps: int) -> list[tuple[int, np.ndarray]]:
     """Return stamps [ns] and points of packets of 50 points, 5 ms apart."""
     return [(1_700_000_000_000_000_000 + 5_000_000 * i, WALL[:50] + 0.001 * i) for i in range(20 * sweeps)]
 
 
-def write_lvx2(path: Path, packets: list[tuple[int, np.ndarray]]) -> Path:
-    """Write the layout of Livox's "LVX2 Specifications": headers, one device, frames of ten packages."""
+def write_lvx2(
+    path: Path,
+    packets: list[tuple[int, np.ndarray]],
+    *,
+    poses: dict[int, tuple[float, ...] | None] | None = None,
+    sensors: list[int] | None = None,
+) -> Path:
+    """Write the layout of Livox's "LVX2 Specifications": headers, devices, frames of ten packages.
+
+    Args:
+        path: the file.
+        packets: stamps [ns] and points.
+        poses: by the number of a sensor, roll, pitch, yaw [deg], x, y, z [m]; None for one that does not count.
+        sensors: numbers of the sensors of the packets; None is 7 for all.
+    """
     data = bytearray(b"livox_tech".ljust(16, b"\0") + bytes([2, 0, 0, 0]) + struct.pack("<I", 0xAC0EA767))
-    data += struct.pack("<IB", 50, 1) + bytes(63)
+    devices = [
+        struct.pack("<16s16sIBBB6f", b"SN%d" % number, b"", number, 0, 9, pose is not None, *(pose or (9.0,) * 6))
+        for number, pose in (poses or {7: None}).items()
+    ]
+    data += struct.pack("<IB", 50, len(devices)) + b"".join(devices)
     for first in range(0, len(packets), 10):
         frame = bytearray()
         for i, (stamp, points) in enumerate(packets[first : first + 10]):
             payload = b"".join(struct.pack("<iiiBB", *map(int, np.rint(1000.0 * point)), 9, 0) for point in points)
-            frame += struct.pack("<BIBBQHBIB4x", 0, 7, 9, 0, stamp, i, 1, len(payload), 0) + payload
+            number = 7 if sensors is None else sensors[first + i]
+            frame += struct.pack("<BIBBQHBIB4x", 0, number, 9, 0, stamp, i, 1, len(payload), 0) + payload
         here = len(data)
         data += struct.pack("<3Q", here, here + 24 + len(frame), first // 10) + frame
     path.write_bytes(data)
@@ -165,6 +230,24 @@ def write_las(
     las = laspy.LasData(header)
     las.x, las.y, las.z = points.T
     las.write(str(path))
+
+
+def write_two_ousters(path: Path) -> None:
+    """Write an OSF of three sweeps of two sensors: 11 with ranges of 5 m, and 22 with 8 m, mounted upside down."""
+    core: Any = importlib.import_module("ouster.sdk.core")
+    osf: Any = importlib.import_module("ouster.sdk.osf")
+    infos = [core.SensorInfo.from_default(core.LidarMode._512x10) for _ in range(2)]
+    infos[0].sn, infos[1].sn = 11, 22
+    infos[1].sensor_to_body = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2], [0, 0, 0, 1]])
+    writer = osf.Writer(str(path), infos)
+    for k in range(3):
+        for number, info in enumerate(infos):
+            frame, start = core.LidarFrame(info), bags.START + 100_000_000 * k + 1000 * number
+            frame.field("RANGE")[:] = 5000 + 3000 * number
+            frame.frame_id, frame.status[:], frame.measurement_id[:] = k + 1, 1, np.arange(512)
+            frame.timestamp[:] = start + 190_000 * np.arange(512)
+            writer.save(number, frame)
+    writer.close()
 
 
 def write_ouster(path: Path) -> None:

@@ -39,6 +39,7 @@ _share_cores()
 QUICK_DRAWING = ("--disable-gpu-compositing", "--webgl-antialiasing-mode=none")
 """Flags for Chromium that halve the time in which a page is drawn in software."""
 DATASETS = Path(__file__).resolve().parents[2] / "shared" / "datasets"
+CASES = DATASETS.with_name("cases")
 
 
 @pytest.hookimpl(hookwrapper=True)
@@ -62,6 +63,14 @@ def shared_datasets() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return DATASETS
+
+
+@pytest.fixture(scope="session")
+def shared_cases() -> Path:
+    """Folder of small files that were once misread, beside the checkout."""
+    if not CASES.is_dir():
+        pytest.skip(f"{CASES} does not exist, tests on its files did not run")
+    return CASES
 
 
 @pytest.fixture(scope="session", params=_devices())

@@ -1,10 +1,12 @@
 from pathlib import Path
 
+import bags
 import numpy as np
 import pytest
 
 from aero_viz.catalog import load_world, open_source
 from aero_viz.errors import UserError
+from aero_viz.recordings import open_recording
 from aero_viz.scenes import World
 
 
@@ -42,7 +44,7 @@ def test_errors_name_the_source_or_the_alternatives(spec: str, options: dict[str
     [
         ("flight.mcap", r"flight\.mcap is not a world.*play it with: aero-viz play .*flight\.mcap"),
         ("folder", r"folder: Is a directory.*play it with: aero-viz play .*folder"),
-        ("notes.txt", r"notes\.txt is not JSON.* column 1\.$"),
+        ("notes.txt", r"notes\.txt: it holds no rows of at least three numbers"),
         ("missing.mcap", r"There is no file .*missing\.mcap\.$"),
         ("missing.json", r"There is no file .*missing\.json\.$"),
     ],
@@ -72,3 +74,19 @@ def test_a_count_for_a_file_is_refused(tmp_path: Path):
     load_world("forest", count=3).save(path)
     with pytest.raises(UserError, match="--count"):
         load_world(str(path), count=5)
+
+
+@pytest.mark.parametrize("place", [[0, 0, 0], [500_000, 5_400_000, 300]])
+def test_a_bag_with_a_single_cloud_is_a_world(tmp_path: Path, place: list[int]):
+    ground = np.stack(np.meshgrid(np.arange(-20, 20, 0.2), np.arange(-20, 20, 0.2)), axis=-1).reshape(-1, 2)
+    points = np.column_stack([ground, 0 * ground[:, 0]])
+    points = np.vstack([points, [[5.0, 5.0, 0.2 * k] for k in range(20)]]) + place
+    path = bags.write_mcap(tmp_path / "map.mcap", [bags.cloud(0, bags.xyz(points, "f8"), frame="map", topic="/map")])
+    world = load_world(str(path), voxel=0.2)
+    assert len(world.boxes) and np.abs(world.start).max() < 100
+    if not any(place):
+        with open_recording(path) as recording:
+            assert any("aero-viz demo map.mcap" in text for text in recording.problems)
+    many = bags.write_mcap(tmp_path / "many.mcap", [bags.cloud(0.1 * k, bags.xyz(points[:50])) for k in range(3)])
+    with pytest.raises(UserError, match=r"has 3 clouds, and a map is a single one\. If it is a recording, play it"):
+        load_world(str(many))

@@ -15,6 +15,16 @@ __all__ = ["main"]
 _DESCRIPTION = "AERO-Viz: the AERO-MPPI planner, live in the browser."
 
 
+def _refuse(message: str, arguments: list[str] | None) -> None:
+    """Print a message on stderr and, for whoever reads the JSON of --json, as one JSON object on stdout."""
+    print(f"aero-viz: {message}", file=sys.stderr)
+    if "--json" in (sys.argv[1:] if arguments is None else arguments):
+        import json
+
+        with contextlib.suppress(OSError, ValueError):
+            print(json.dumps({"error": message}), flush=True)
+
+
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line.
 
@@ -22,7 +32,8 @@ def main(arguments: list[str] | None = None) -> None:
         arguments: arguments without the program's name; None takes them from sys.argv.
 
     Raises:
-        SystemExit: code 2 for a user's mistake or unreadable input, 130 after Ctrl-C or SIGTERM, 0 after --help.
+        SystemExit: code 2 for a user's mistake or unreadable input, whose message --json prints as JSON, too; 130
+            after Ctrl-C or SIGTERM, 0 after --help.
     """
     if sys.stdout is None:  # closed by the shell, as with >&-
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
@@ -43,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (UserError, ValueError) as error:
         if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):
             raise
-        print(f"aero-viz: {' '.join(str(error).split())}", file=sys.stderr)
+        _refuse(" ".join(str(error).split()), arguments)
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(abandon_output()) from None
@@ -51,7 +62,7 @@ def main(arguments: list[str] | None = None) -> None:
         if os.environ.get("AERO_VIZ_DEBUG"):
             raise
         where = f"{error.filename}: " if error.filename else "the output cannot be written or read: "
-        print(f"aero-viz: {where}{error.strerror or error}.", file=sys.stderr)
+        _refuse(f"{where}{error.strerror or error}.", arguments)
         with contextlib.suppress(OSError, ValueError):  # stdout without a file, as in a test
             abandon_output()
         raise SystemExit(2) from None

@@ -12,11 +12,12 @@ import tyro
 from aero_planner import PlannerConfig
 from aero_planner.config import ParameterInfo
 from aero_planner.config.file import config_from_name
-from aero_viz.catalog import is_map, load_world
+from aero_viz.catalog import is_bag, is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
+from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.scenes.map_files import has_voxels
 from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
@@ -221,6 +222,14 @@ class RecordingFlags:
     """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of the recorded ones."""
     mask: OptionalBox = None
     """Leave out the points in a box in the body's frame, from its lower to its upper corner [m]."""
+    columns: OptionalText = None
+    """Rows of .bin files: the number of float32 columns, such as 5, or NumPy's types, such as 4f8 or 4f4,u2,f4; x, y, z
+    come first. By default it is found in the numbers."""
+    sensor: OptionalText = None
+    """Sensor to play where several were recorded in one capture or on one topic; by default the one with the most
+    points. `inspect` lists them."""
+    cloud_frame: CloudFrame = "auto"
+    """What the clouds move with: the body, or the world, as a map does; auto goes by the name of their frame."""
 
     def options(self) -> dict[str, Any]:
         """Return the arguments of `open_recording`."""
@@ -250,10 +259,10 @@ class WorldFlags:
         Raises:
             UserError: the world does not exist or is malformed, or a flag does not apply to it.
         """
-        if self.voxel is not None and not is_map(spec):
+        if self.voxel is not None and not (is_map(spec) or is_bag(spec)):
             raise UserError(
                 f"--voxel applies to point-cloud maps and images only, and {spec} is neither; leave it out."
             )
-        if self.voxel is not None and not has_voxels(spec):
+        if self.voxel is not None and not (has_voxels(spec) or is_bag(spec)):
             raise UserError(f"{spec} has no voxels; leave --voxel out.")
         return load_world(spec, seed=seed, **vars(self))

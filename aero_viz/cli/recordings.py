@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -71,6 +72,7 @@ def convert(
         json: Print one JSON object.
     """
     from aero_viz.recordings import open_recording
+    from aero_viz.recordings.choices import Choices
     from aero_viz.recordings.convert import convert as convert_recording
     from aero_viz.recordings.convert import refuse_source
     from aero_viz.recordings.storage import open_storage
@@ -103,8 +105,9 @@ def convert(
             )
             print_report(report, as_json=json)
 
-        if recording_flags == _RECORDING:
-            return write()
+        choices = Choices(recording_flags.columns, recording_flags.sensor)
+        if dataclasses.replace(recording_flags, columns=None, sensor=None) == _RECORDING:
+            return write(choices=choices)
         if recording_flags.pose_topic is not None:
             raise UserError(
                 "--pose-topic has no effect: all topics of poses are written; name those to write with --topics."
@@ -115,7 +118,7 @@ def convert(
         options["progress"] = lambda done, total: show(done, total, f"estimating the motion: {done} of {total} sweeps")
         with open_recording(file, **options) as recording:
             _refuse_unused(recording_flags, recording, output)
-            write(recording=recording)
+            write(recording=recording, choices=choices)
 
 
 def _refuse_unused(flags: RecordingFlags, recording: Recording, output: Path) -> None:

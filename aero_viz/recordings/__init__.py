@@ -8,8 +8,9 @@ from aero_planner.lazy_import import lazy_exports
 
 if TYPE_CHECKING:
     from aero_viz.recordings.info import RecordingInfo, inspect
+    from aero_viz.recordings.opening import open_recording
     from aero_viz.recordings.poses import Pose, RecordedPoses
-    from aero_viz.recordings.recording import NO_POSES, PointSweep, Recording, open_recording
+    from aero_viz.recordings.recording import NO_POSES, PointSweep, Recording
     from aero_viz.recordings.source import RecordingSource
 
 __all__ = [
@@ -28,8 +29,9 @@ __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "info": ("RecordingInfo", "inspect"),
+        "opening": ("open_recording",),
         "poses": ("Pose", "RecordedPoses"),
-        "recording": ("NO_POSES", "PointSweep", "Recording", "open_recording"),
+        "recording": ("NO_POSES", "PointSweep", "Recording"),
         "source": ("RecordingSource",),
     },
 )

@@ -8,6 +8,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from aero_viz.input_limits import BLOCK_MAX, NAME_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.file_bytes import FileBytes
 
@@ -27,6 +30,17 @@ Buffer: TypeAlias = bytes | FileBytes
 
 ChunkPosition: TypeAlias = tuple[int | None, int, int]
 """Offset of the compressed chunk (None for the file itself), first byte of the message, and its last byte + 1."""
+
+
+class Mounting(NamedTuple):
+    """Pose of a sensor in the body's frame."""
+
+    position: NDArray[np.float64]
+    """[3] [m]."""
+    quaternion: NDArray[np.float64]
+    """[4] w, x, y, z."""
+    notice: str
+    """Sentence for the user on where it is from."""
 
 
 class Channel(NamedTuple):
@@ -69,8 +83,21 @@ class BagFile(ABC):
         """Channels found so far, by their number in the file."""
         self.definitions: dict[str, str] = {}
         """Definitions of types of ROS 2 messages that the file holds, as far as they were found."""
+        self.mounting: Mounting | None = None
+        """Pose of the sensor in the body's frame, where the file has one."""
+        self.is_of_chosen_sensor = False
+        """True if only the messages of one sensor are read, which was chosen when the file was opened."""
         self.damaged = 0
         """Number of records and chunks that could not be read."""
+
+    @property
+    def parts(self) -> list[Path]:
+        """The files that it is made of."""
+        return [self.path]
+
+    def number(self, position: Any) -> int | None:
+        """Return the number in the name of the file that a message was made from; None where there is none."""
+        return None
 
     @abstractmethod
     def scan(self, types: Collection[str]) -> Iterator[Message]:

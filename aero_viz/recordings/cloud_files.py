@@ -17,23 +17,23 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.input_limits import LimitExceeded, ReadingBudget
 from aero_viz.point_times import point_times
-from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message
-from aero_viz.recordings.bin_files import find_layout, read_bin
+from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Channel, Message, Mounting
+from aero_viz.recordings.bin_files import find_layout, parse_columns, read_bin
+from aero_viz.recordings.cloud_times import STAMP_END, number_in_name
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_timed_points
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES, find_text_layout
 
 CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
-"""Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`."""
+"""Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`. Texts may hold clouds, too."""
 _FRAME = "lidar"
 _FAR = 5_000.0
 """A cloud whose centre is farther from the origin than this is in map coordinates and is moved to the origin [m]."""
 _TRIED = 5
 """Largest number of damaged files at the start of a folder."""
-STAMP_END = 10**9 << 31
-"""Times from here on do not fit into a header [ns]."""
 
 
 class StampedCloud(NamedTuple):
@@ -103,23 +103,38 @@ class CloudFiles(CloudSequence):
         files: files in the order of time.
         stamps: their stamps [ns].
         suffix: names their format; None takes that of the first file.
+        columns: rows of .bin files, see `parse_columns`; None finds them.
 
     Raises:
         UserError: the first files are all damaged.
     """
 
-    def __init__(self, path: Path, files: list[Path], stamps: list[int], suffix: str | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        files: list[Path],
+        stamps: list[int],
+        suffix: str | None = None,
+        *,
+        columns: str | None = None,
+    ) -> None:
         super().__init__(path, "/points", sum(file.stat().st_size for file in files))
         self._files, self._stamps = files, stamps
         self._suffix = suffix or files[0].suffix.lower()
-        self._layout = find_layout(files) if self._suffix == ".bin" else None
-        if self._layout is not None and not self._layout.is_common:
-            self.notices.append(f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first")
+        self._layout = None
+        if self._suffix == ".bin":
+            self._layout = find_layout(files) if columns is None else parse_columns(columns)
+            choice = "as --columns says" if columns else "--columns names others"
+            self.notices.append(
+                f"the .bin files are read as rows of {self._layout}, of which x, y, z are the first; {choice}"
+            )
         self.damage: dict[Path, str] = {}
         """Reasons why files could not be read so far."""
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
+            if self._suffix in TEXT_SUFFIXES:
+                self.notices.append(str(find_text_layout(file)))
             is_las = self._suffix in (".las", ".laz")
             units = self._process.las_units(file) if is_las else LasUnits()
         except BaseException:
@@ -130,6 +145,7 @@ class CloudFiles(CloudSequence):
         if self._offset.any():
             x, y, z = self._offset
             self.notices.append(f"the cloud is in map coordinates: ({x:.0f}, {y:.0f}, {z:.0f}) m are subtracted")
+        self.notices += [units.notice] if units.notice else []
         if not units.is_named:
             self.notices.append("the file names no coordinate system: its coordinates are assumed to be metres")
         if (units.horizontal, units.vertical) != (1.0, 1.0):
@@ -168,6 +184,13 @@ class CloudFiles(CloudSequence):
         times[valid] = seconds
         return StampedCloud(stamp, points, times)
 
+    @property
+    def parts(self) -> list[Path]:
+        return self._files
+
+    def number(self, position: int) -> int | None:
+        return number_in_name(self._files[position])
+
     def _read_points(self, path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         """Return points [n, 3] [m] and their times [n] as stored in the file, or None."""
         if self._layout is not None:
@@ -189,14 +212,27 @@ class PacketClouds(CloudSequence):
         sweeps: the sweeps; all are taken at once. EOFError says that the file is truncated, and ValueError that it is
             damaged.
         imu: filled while the sweeps are taken; None without an IMU. The position of a sample is -1 - its number.
+        mounting: pose of the sensor, where the file has one.
+        notice: sentence for the user about the sensor.
 
     Raises:
         UserError: the temporary folder is too small.
     """
 
-    def __init__(self, path: Path, topic: str, sweeps: Iterable[StampedCloud], *, imu: ImuRows | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topic: str,
+        sweeps: Iterable[StampedCloud],
+        *,
+        imu: ImuRows | None = None,
+        mounting: Mounting | None = None,
+        notice: str = "",
+    ) -> None:
         self._imu = imu
         super().__init__(path, topic, path.stat().st_size)
+        self.mounting, self.is_of_chosen_sensor = mounting, True
+        self.notices += [notice] if notice else []
         self._spool = tempfile.TemporaryFile(prefix="aero-viz-")  # noqa: SIM115
         self._rows: list[tuple[int, int, int, bool]] = []  # stamp [ns], offset in the spool, points, times
         try:

@@ -6,6 +6,7 @@ from aero_viz.recordings.foxglove_cloud import FOXGLOVE_CLOUD, FOXGLOVE_ROS_CLOU
 from aero_viz.recordings.livox import read_livox
 from aero_viz.recordings.other_clouds import LASER_SCAN, read_laser_scan, read_point_cloud
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, RawCloud, read_point_cloud2
+from aero_viz.recordings.velodyne_scan import VELODYNE_SCAN, read_velodyne_scan
 
 _READERS = {
     POINT_CLOUD2: read_point_cloud2,
@@ -16,6 +17,7 @@ _READERS = {
     FOXGLOVE_CLOUD: read_foxglove,
     FOXGLOVE_ROS_CLOUD: read_foxglove,
     LASER_SCAN: read_laser_scan,
+    VELODYNE_SCAN: read_velodyne_scan,
 }
 
 CLOUD_TYPES = tuple(_READERS)

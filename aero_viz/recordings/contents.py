@@ -45,6 +45,8 @@ class CloudEntry:
     file: BagFile
     position: Any
     """Argument of `BagFile.read`."""
+    sensor: str = ""
+    """Name of the sensor, where the message has one besides its frame."""
 
     @property
     def time(self) -> int:
@@ -180,7 +182,9 @@ class _Scanner:
                 is_text = channel.encoding == "json"
                 layout = file.read(message.position) if is_text else self._without_points(message)
                 cloud = read_cloud(layout, channel.type, channel.encoding)
-                entry = CloudEntry(cloud.stamp, message.time, cloud.rows.size, cloud.frame, file, message.position)
+                entry = CloudEntry(
+                    cloud.stamp, message.time, cloud.rows.size, cloud.frame, file, message.position, cloud.sensor
+                )
                 topic.clouds.append(entry)
                 notice = f"clouds on {topic.name}: {cloud.notice}" if cloud.notice else ""
                 if notice and notice not in self.contents.problems:

@@ -16,10 +16,12 @@ from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times
 from aero_viz.recordings.bag_file import BagFile, Channel, Message, one_line
+from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.cloud_files import CloudSequence
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.convert_poses import STATIC_DEFINITION, NewPoses, Window, is_static
+from aero_viz.recordings.opening import configure_recording
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, checked_row_step, encode_point_cloud2
 from aero_viz.recordings.recording import Recording
@@ -73,6 +75,7 @@ def convert(
     topics: Collection[str] = (),
     decimate: int = 1,
     recording: Recording | None = None,
+    choices: Choices = AUTOMATIC,
     progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> ConvertReport:
     """Write the messages of a recording with their stamps and times of recording. An existing file is replaced.
@@ -88,6 +91,7 @@ def convert(
         decimate: every `decimate`-th point of a cloud is kept.
         recording: the opened recording; None opens it. If its poses are estimated or from a file, which may lie next
             to the clouds, they are written as /odometry and /tf, in place of all recorded ones.
+        choices: what the user has settled about the recording.
         progress: called with the time reached and the duration [s].
 
     Raises:
@@ -99,12 +103,13 @@ def convert(
         raise UserError(f"--decimate must be at least 1, not {decimate}.")
     if not start < end:
         raise UserError(f"--start {start:g} must be before --end {end:g}.")
-    storage = open_storage(source)
+    storage = open_storage(source, choices)
     try:
         with readable(storage.path):
             contents = read_contents(storage)
             if recording is None and storage.pose_file is not None:
                 recording = Recording(storage, contents, None, None)
+                configure_recording(recording, storage, contents)
         refuse_source(target, storage)
         unknown = sorted(set(topics) - {topic.name for topic in contents.topics})
         if unknown:

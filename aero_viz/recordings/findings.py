@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector
-from aero_viz.recordings.alignment import match, place
+from aero_viz.recordings.alignment import place
+from aero_viz.recordings.cloud_frame import check_cloud_frame
+from aero_viz.recordings.finding import Finding
 from aero_viz.recordings.misalignment import Misalignment, estimate_misalignment
 from aero_viz.recordings.poses import RecordedPoses, position_differences
 
@@ -18,11 +20,8 @@ if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
 
 _SAMPLES = 20
-_PAIRS, _QUERIES = 5, 1000
-_NEAR = 0.1
-"""A point this near to a surface lies on it [m]."""
 _MOVED = 2.0
-"""Distance between two poses that shows whether the cloud moves with the body [m]."""
+"""Least way of a body that shows which points move with it [m]."""
 _MOVING = 0.5
 """Speed from which the direction of a velocity counts [m/s]."""
 _AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
@@ -34,8 +33,12 @@ _GAP = 1.6
 """A gap between two sweeps that is longer than this many median periods lacks at least one sweep."""
 _PAUSE = 60.0
 """Recorders that lose sweeps go on sooner [s]."""
+_TILES = ("las", "laz")
+"""Formats of tiles of maps, whose unit is known."""
 _FAR = 1000.0
 """Half of the points of a LiDAR are nearer [m]."""
+_FLAT = 0.02
+"""Thickness below which the points of a sweep lie in a plane [m], or as a share of the width."""
 _JUMP, _TURN = 0.5, np.radians(25.0)
 _MIN_TIME_OFFSET, _MIN_ROTATION = 0.008, np.radians(0.8)
 _CERTAIN = 5.0
@@ -44,20 +47,6 @@ _IMPROVEMENT = 0.9
 _COLUMN, _MIN_COLUMNS, _FLOOR_SHARE, _BELOW = 1.0, 20, 0.75, 0.2
 """Of the ground: width of a column of points [m], least number of columns that are mostly ground, least share of the
 points in those, and largest share of points below it."""
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A fault, or a property that the user should know of."""
-
-    code: str
-    """Short name, such as "time-offset"."""
-    evidence: str
-    """Evidence, one sentence without a full stop."""
-    advice: str
-    """The next step, an imperative without a full stop."""
-    is_fault: bool = True
-    """False if the playback handles it without help."""
 
 
 @dataclass(frozen=True)
@@ -131,11 +120,11 @@ def find_faults(recording: Recording) -> list[Finding]:
     found += _jumps(poses)
     found += _twists(poses)
     found += _airframe(recording, poses)
-    fixed = list(_world_frame(recording, poses))
+    fixed = [found for found in (check_cloud_frame(recording, poses),) if found is not None]
     # Sweeps that do not move with the body, or poses that jump, say nothing about offsets.
     if not fixed and not any(finding.code == "pose-jumps" for finding in found):
-        estimate = estimate_misalignment(recording, poses)
-        found += [] if estimate is None else _offsets(estimate)
+        estimate = None if _is_flat(recording) else estimate_misalignment(recording, poses)
+        found += [] if estimate is None else _offsets(estimate, _turn_during_sweep(recording, poses))
     return sorted(fixed + found, key=lambda finding: not finding.is_fault)
 
 
@@ -144,7 +133,9 @@ def _sampled(count: int) -> list[int]:
 
 
 def _rate(times: NDArray[np.float64]) -> float | None:
+    """Return how many follow one another in a second [Hz]. The first step may be shorter, after a partial sweep."""
     steps = np.diff(times)
+    steps = steps[1:] if len(steps) > 1 else steps
     return float(1.0 / np.median(steps)) if len(steps) and np.median(steps) > 0.0 else None
 
 
@@ -183,11 +174,14 @@ def _units(recording: Recording) -> Iterator[Finding]:
     ranges = np.linalg.norm(np.concatenate([sweep.points for sweep in sweeps]), axis=1)
     if len(ranges) and np.median(ranges) > _FAR:
         dropped = sum(sweep.dropped for sweep in sweeps)
+        is_tile = recording.format in _TILES
         yield Finding(
             "units",
             f"half of the points are farther away than {np.median(ranges):.0f} m, and "
             f"{100 * dropped / (dropped + len(ranges)):.0f} % are left out because they are invalid or beyond 10 km",
-            "convert the coordinates to metres where the cloud is published; they are probably millimetres",
+            f"this is a map and no sweep; fly through it with `aero-viz demo {recording.path.name}`"
+            if is_tile
+            else "convert the coordinates to metres where the cloud is published; they are probably millimetres",
         )
 
 
@@ -248,38 +242,6 @@ def _twists(poses: RecordedPoses) -> Iterator[Finding]:
             )
 
 
-def _world_frame(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
-    times = recording.sweep_times
-    positions = poses.track.interpolate(times)[0]
-    raw, posed, distances = [], [], []
-    for first in _sampled(len(times))[:: _SAMPLES // _PAIRS]:
-        far = np.flatnonzero(np.linalg.norm(positions[first:] - positions[first], axis=1) > _MOVED)
-        if not len(far):
-            continue
-        second = first + int(far[0])
-        surface, query = recording.sweep(first), recording.sweep(second)
-        kept = slice(None, None, max(1, len(query.points) // _QUERIES))
-        query = query._replace(
-            points=query.points[kept], point_times=None if query.point_times is None else query.point_times[kept]
-        )
-        if len(query.points):
-            raw.append(_share_on_surfaces(surface.points.astype(np.float64), query.points.astype(np.float64)))
-            posed.append(_share_on_surfaces(place(surface, poses), place(query, poses)))
-            distances.append(float(np.linalg.norm(positions[second] - positions[first])))
-    if raw and np.median(raw) > max(0.1, 2.0 * float(np.median(posed))):
-        yield Finding(
-            "world-frame",
-            f"the cloud is already in the world frame: of sweeps {np.median(distances):.1f} m apart, "
-            f"{100 * np.median(raw):.0f} % of the points lie on surfaces of each other as recorded and "
-            f"{100 * np.median(posed):.0f} % when they are moved by the poses",
-            "play the raw cloud of the sensor (--points-topic), or publish the cloud in the sensor's frame",
-        )
-
-
-def _share_on_surfaces(surface: NDArray[np.float64], points: NDArray[np.float64]) -> float:
-    return float((np.abs(match(surface, points).distances) < _NEAR).sum() / len(points))
-
-
 def _airframe(recording: Recording, poses: RecordedPoses) -> Iterator[Finding]:
     sampled = _sampled_on_the_way(poses.track.interpolate(recording.sweep_times)[0])
     if len(sampled) < 5:
@@ -318,7 +280,29 @@ def _sampled_on_the_way(positions: NDArray[np.float64]) -> list[int]:
     return np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], _SAMPLES))).tolist()
 
 
-def _offsets(estimate: Misalignment) -> Iterator[Finding]:
+def _is_flat(recording: Recording) -> bool:
+    """Return True if most sweeps lie in a plane, as those of a planar scanner do, and show no surfaces."""
+    flat = []
+    for index in _sampled(len(recording.sweep_times)):
+        points = recording.sweep(index).points.astype(np.float64)
+        if len(points) > 2:
+            spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(points.T)), 0.0))
+            flat.append(spread[0] < max(_FLAT, _FLAT * spread[1]))
+    return bool(flat) and bool(np.mean(flat) > 0.5)
+
+
+def _turn_during_sweep(recording: Recording, poses: RecordedPoses) -> float:
+    """Return the angle by which the body usually turns during a sweep whose points have no times [rad]."""
+    times = recording.sweep_times
+    if len(times) < 2 or any(recording.sweep(i).point_times is not None for i in (0, len(times) // 2)):
+        return 0.0
+    _, quaternions = poses.track.interpolate(times)
+    turns = rotation_vector(multiply(conjugate(quaternions[:-1]), quaternions[1:]))
+    return float(np.median(np.linalg.norm(turns, axis=1)))
+
+
+def _offsets(estimate: Misalignment, turn: float) -> Iterator[Finding]:
+    """Yield findings on the offsets; turning by the angle `turn` [rad] during a sweep looks like a wrong mounting."""
     if estimate.after > _IMPROVEMENT * estimate.before:
         return
     evidence = f"points then lie {100 * estimate.after:.1f} instead of {100 * estimate.before:.1f} cm from the surfaces"
@@ -332,7 +316,7 @@ def _offsets(estimate: Misalignment) -> Iterator[Finding]:
             "synchronize the clocks of sensor and estimator (PTP), or correct the stamps where they are published",
         )
     angle = np.abs(estimate.rotation)
-    if (angle > np.maximum(_MIN_ROTATION, _CERTAIN * estimate.rotation_deviation)).any():
+    if (angle > np.maximum(_MIN_ROTATION + turn, _CERTAIN * estimate.rotation_deviation)).any():
         roll, pitch, yaw = np.degrees(estimate.rotation)
         yield Finding(
             "extrinsic",

@@ -9,6 +9,7 @@ from typing import Any
 
 from aero_viz.recordings.bag_file import BagFile
 from aero_viz.recordings.contents import Contents, read_contents
+from aero_viz.recordings.opening import configure_recording
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.storage import Storage, open_storage, readable
 
@@ -46,7 +47,9 @@ def open_indexed(
     try:
         with readable(storage.path):
             contents: Contents = _Unpickler(io.BytesIO(index), storage).load()
-            return Recording(storage, contents, points_topic, pose_topic)
+            recording = Recording(storage, contents, points_topic, pose_topic)
+            configure_recording(recording, storage, contents)
+            return recording
     except BaseException:
         storage.close()
         raise

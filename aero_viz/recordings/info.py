@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from aero_viz.errors import UserError
+from aero_viz.recordings.choices import Choices, CloudFrame
 from aero_viz.recordings.contents import Topic, read_contents
 from aero_viz.recordings.findings import Finding, Measured, find_faults, measure
 from aero_viz.recordings.folder_check import count_points
-from aero_viz.recordings.recording import Recording, configure_recording
+from aero_viz.recordings.opening import configure_recording
+from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.storage import open_storage, readable
 from aero_viz.recordings.topics import require_topics
 from aero_viz.text_table import format_table
@@ -79,20 +81,28 @@ class RecordingInfo:
 
 
 def inspect(
-    path: str | Path, *, points_topic: str | None = None, pose_topic: str | None = None, **options: Any
+    path: str | Path,
+    *,
+    points_topic: str | None = None,
+    pose_topic: str | None = None,
+    columns: str | None = None,
+    sensor: str | None = None,
+    cloud_frame: CloudFrame = "auto",
+    **options: Any,
 ) -> RecordingInfo:
     """Return a report on a recording. What keeps it from being played becomes one of the report's `problems`.
 
     Args:
         path: file or folder.
         points_topic, pose_topic: topics to play from; None finds them by type.
+        columns, sensor, cloud_frame: see `aero_viz.recordings.choices.Choices`.
         options: other options of `open_recording`.
 
     Raises:
         UserError: there is no recording at `path`, nothing in it can be read, a named topic does not exist or is of
             the wrong type, or another option is wrong.
     """
-    storage = open_storage(path)
+    storage = open_storage(path, Choices(columns, sensor, cloud_frame))
     try:
         with readable(storage.path):
             contents = read_contents(storage)

@@ -34,22 +34,30 @@ def _read_cdr(message: bytes | memoryview) -> RawCloud:
     seconds, nanoseconds, length = struct.unpack_from(f"{order}iII", message, 4)
     end = 16 + length
     start = end + -(end - 4) % 8
-    # timebase, point_num, lidar_id and rsvd are not needed; the stamp and the length of the sequence repeat them.
-    (count,) = struct.unpack_from(f"{order}16xI", message, start)
-    return _cloud(message, seconds * 10**9 + nanoseconds, (16, end), order, start + 20, count, step=20)
+    # timebase and point_num are not needed; the stamp and the length of the sequence repeat them.
+    lidar, count = struct.unpack_from(f"{order}12xB3xI", message, start)
+    return _cloud(message, seconds * 10**9 + nanoseconds, (16, end), order, start + 20, count, lidar, step=20)
 
 
 def _read_ros1(message: bytes | memoryview) -> RawCloud:
     _, seconds, nanoseconds, length = struct.unpack_from("<4I", message)
     end = 16 + length
-    (count,) = struct.unpack_from("<16xI", message, end)
-    return _cloud(message, seconds * 10**9 + nanoseconds, (16, end), "<", end + 20, count, step=_POINT_SIZE)
+    lidar, count = struct.unpack_from("<12xB3xI", message, end)
+    return _cloud(message, seconds * 10**9 + nanoseconds, (16, end), "<", end + 20, count, lidar, step=_POINT_SIZE)
 
 
 def _cloud(
-    message: bytes | memoryview, stamp: int, name: tuple[int, int], order: str, start: int, count: int, *, step: int
+    message: bytes | memoryview,
+    stamp: int,
+    name: tuple[int, int],
+    order: str,
+    start: int,
+    count: int,
+    lidar: int,
+    *,
+    step: int,
 ) -> RawCloud:
-    """Return the cloud of `count` points from byte `start` on, `step` bytes apart."""
+    """Return the cloud of `count` points of a sensor from byte `start` on, `step` bytes apart."""
     frame = bytes(message[slice(*name)]).rstrip(b"\0").decode(errors="replace")
     if not frame.isprintable():
         raise DamagedMessage("a name in it is damaged")
@@ -67,4 +75,4 @@ def _cloud(
     if end > len(message):
         raise DamagedMessage(f"it has {len(message)} bytes, but its points end at byte {end}")
     rows = np.ndarray((int(count > 0), count), dtype, message, start, (count * step, step))
-    return RawCloud(stamp, frame.lstrip("/"), rows)
+    return RawCloud(stamp, frame.lstrip("/"), rows, sensor=f"lidar {lidar}")

@@ -11,6 +11,7 @@ import shutil
 import struct
 import tempfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -18,14 +19,16 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.quaternions import quaternion_of_matrix
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import expansion_limit
 from aero_viz.reader_process import Limits, ReaderProcess
-from aero_viz.recordings.bag_file import one_line
+from aero_viz.recordings.bag_file import Mounting, one_line
 from aero_viz.recordings.cloud_files import StampedCloud
 from aero_viz.recordings.imu_messages import ImuRows
-from aero_viz.recordings.pcap import udp_payloads
+from aero_viz.recordings.pcap import ETHERNET, PCAP_MAGICS, frames, udp_payloads, write_ethernet
+from aero_viz.recordings.sensors import choose_sensor
 
 INSTALL = "pip install --no-deps ouster-sdk"
 """Its requirements exclude the versions of rosbags and psutil that AERO-Viz needs; decoding needs neither."""
@@ -44,13 +47,30 @@ class _Decoded(NamedTuple):
     """[n] [ns]."""
     problem: str
     """Reason why the rest cannot be decoded; empty if there is none."""
+    extrinsic: NDArray[np.float64]
+    """Pose of the sensor in the body's frame [4, 4]."""
+    notice: str
+    """Sentence on the sensors that are left out; empty if there are none."""
 
 
-def find_metadata(path: Path) -> Path | None:
+@dataclass
+class OusterSensor:
+    """The sensor of a capture that is played."""
+
+    wanted: str | None
+    """See `choose_sensor`."""
+    mounting: Mounting | None = None
+    """Filled while the sweeps are read."""
+    notice: str = ""
+    """Sentence on the sensors that are left out, filled likewise."""
+
+
+def find_metadata(path: Path, wanted: str | None = None) -> Path | None:
     """Return the file next to a capture that holds the metadata of its sensor; None if there is none.
 
     Of several, it is the one whose name shares the longest prefix with that of the capture. JSON files that share no
-    prefix, or are not metadata of an Ouster, are skipped.
+    prefix, or are not metadata of an Ouster, are skipped, and so are those that do not hold the wanted text, which may
+    be a serial number, in their name or content.
     """
     files = [file for file in path.parent.glob("*.json") if file.is_file()]
     common = {
@@ -58,16 +78,18 @@ def find_metadata(path: Path) -> Path | None:
         for file in files
     }
     for file in sorted(files, key=lambda file: (-common[file], file.name)):
-        with open_user_file(file) as content:
-            if common[file] and _KEY in content.read(_METADATA_MAX):
-                return file
+        with open_user_file(file) as opened:
+            content = opened.read(_METADATA_MAX)
+        is_wanted = wanted is None or wanted in file.name or wanted.encode() in content
+        if common[file] and _KEY in content and is_wanted:
+            return file
     return None
 
 
-def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[StampedCloud]:
-    """Yield the sweeps of a capture, and add the samples of the IMU to `imu` before the first of them.
+def ouster_sweeps(path: Path, imu: ImuRows, sensor: OusterSensor, *, is_osf: bool) -> Iterator[StampedCloud]:
+    """Yield the sweeps of a sensor, and fill `imu` with its samples and `sensor` before the first of them.
 
-    The first returns of the first sensor are used.
+    The first returns are used.
 
     Raises:
         UserError: ouster-sdk is not installed, the metadata of the sensor are missing, or there is no sweep.
@@ -76,7 +98,7 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
     """
     if importlib.util.find_spec("ouster") is None:
         raise UserError(f"{path} holds data of an Ouster, which ouster-sdk decodes: {INSTALL}")
-    metadata = None if is_osf else find_metadata(path)
+    metadata = None if is_osf else find_metadata(path, sensor.wanted)
     if not is_osf and metadata is None:
         raise UserError(
             f"{path} needs the metadata of the sensor: put the JSON file that was recorded with it into its folder, "
@@ -89,8 +111,13 @@ def ouster_sweeps(path: Path, imu: ImuRows, *, is_osf: bool) -> Iterator[Stamped
             size = path.stat().st_size
             limit = min(expansion_limit(size), shutil.disk_usage(folder).free // 2)
             process = ReaderProcess(Limits.for_file(size))
-            decoded = process(_decode, str(path), str(metadata), str(spool), limit, is_osf=is_osf)
-            problem = decoded.problem
+            file = path
+            if not is_osf and not _is_ethernet(path):  # the library knows no other link
+                file = Path(folder) / "ethernet.pcap"
+                write_ethernet(path, file)
+            decoded = process(_decode, str(file), str(metadata), str(spool), limit, sensor.wanted, is_osf=is_osf)
+            problem, sensor.notice = decoded.problem, decoded.notice
+            sensor.mounting = _mounting(decoded.extrinsic)
             for stamp, row in zip(decoded.imu_stamps, decoded.imu, strict=True):
                 imu.add(int(stamp), row[:3], row[3:])
         except UserError as error:
@@ -121,15 +148,34 @@ def _spooled(file: BinaryIO) -> Iterator[StampedCloud]:
             yield StampedCloud(stamp, points, np.frombuffer(data, "<u4", offset=12 * count))
 
 
-def _decode(path: str, metadata: str, spool: str, limit: int, *, is_osf: bool) -> _Decoded:
+def _is_ethernet(path: Path) -> bool:
+    first = next(frames(path), None)
+    with open_user_file(path) as file:
+        return first is None or (first.link == ETHERNET and not file.read(4).startswith(PCAP_MAGICS[-1]))
+
+
+def _mounting(pose: NDArray[np.float64]) -> Mounting | None:
+    """Return the mounting in the metadata, None if there is none."""
+    is_rigid = abs(np.linalg.det(pose[:3, :3]) - 1.0) < 1e-3
+    if not is_rigid or not np.isfinite(pose).all() or np.allclose(pose, np.eye(4), atol=1e-6):
+        return None
+    place = " ".join(f"{value:g}" for value in pose[:3, 3])
+    notice = f"the sensor is mounted as its metadata say, at x y z {place} m; --extrinsic replaces this"
+    return Mounting(pose[:3, 3].copy(), quaternion_of_matrix(pose[:3, :3]), notice)
+
+
+def _decode(path: str, metadata: str, spool: str, limit: int, wanted: str | None, *, is_osf: bool) -> _Decoded:
     """Write the sweeps of a file to a temporary file, until it has more than `limit` bytes."""
     samples: list[tuple[int, NDArray[np.float32], NDArray[np.float32]]] = []
-    problem, luts = "", {}
+    problem, luts, notice, extrinsic = "", {}, "", np.eye(4)
     with open(spool, "wb") as file:
         try:
-            for frame, info in _osf_frames(path) if is_osf else _pcap_frames(path, metadata, samples):
+            number = 0
+            if is_osf:
+                number, notice = _choose_osf_sensor(path, wanted)
+            for frame, info in _osf_frames(path, number) if is_osf else _pcap_frames(path, metadata, samples):
                 if info.sn not in luts:
-                    luts[info.sn] = _lookup(info)
+                    luts[info.sn], extrinsic = _lookup(info), _pose_in_body(info)
                 _write_sweep(file, frame, luts[info.sn])
                 if file.tell() > limit:
                     raise ValueError(f"its sweeps take more than {limit >> 20} MiB")
@@ -139,7 +185,7 @@ def _decode(path: str, metadata: str, spool: str, limit: int, *, is_osf: bool) -
             problem = one_line(error)[-200:]
     rows = [np.concatenate([rate, force]) for _, rate, force in samples]
     stamps = np.array([stamp for stamp, _, _ in samples], np.int64)
-    return _Decoded(np.array(rows, np.float64).reshape(-1, 6), stamps, problem)
+    return _Decoded(np.array(rows, np.float64).reshape(-1, 6), stamps, problem, extrinsic, notice)
 
 
 def _library() -> Any:
@@ -150,9 +196,23 @@ def _lookup(info: Any) -> Any:
     return _library().core.XYZLut(info, use_extrinsics=False)
 
 
-def _osf_frames(path: str) -> Iterator[tuple[Any, Any]]:
-    for frames in _library().open_source(path, sensor_idx=0):
-        for frame in frames:
+def _pose_in_body(info: Any) -> NDArray[np.float64]:
+    pose = getattr(info, "sensor_to_body", None)  # "extrinsic" before ouster-sdk 1.0
+    return np.array(info.extrinsic if pose is None else pose, np.float64)
+
+
+def _choose_osf_sensor(path: str, wanted: str | None) -> tuple[int, str]:
+    """Return the number of the sensor to play, and a notice on the others."""
+    names = [f"{info.prod_line} {info.sn}" for info in _library().open_source(path).sensor_info]
+    if len(names) < 2 and wanted is None:
+        return 0, ""
+    chosen, notice = choose_sensor(dict.fromkeys(names), wanted, Path(path))
+    return names.index(chosen), notice
+
+
+def _osf_frames(path: str, number: int) -> Iterator[tuple[Any, Any]]:
+    for group in _library().open_source(path, sensor_idx=number):
+        for frame in group:
             if frame is not None:
                 yield frame, frame.sensor_info
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import quaternion_from_angles, quaternion_of_matrix
 from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
-from aero_viz.recordings.other_formats import read_stamps
+from aero_viz.recordings.cloud_times import read_stamps
 from aero_viz.recordings.transforms import Transform
 
 _EARTH_RADIUS = 6_378_137.0

@@ -1,4 +1,4 @@
-"""Raw packets of LiDARs: Livox's .lvx2, and .pcap captures of the Livox Mid-360 and of Velodyne's sensors.
+"""Raw packets of LiDARs in captures of a network: whose they are, and those of the Livox Mid-360.
 
 `ouster.py` reads those of Ouster's.
 """
@@ -7,36 +7,52 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import math
-import struct
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import NamedTuple
 
 import numpy as np
 
 from aero_planner.onboard.livox import LivoxPacket, decode_points, parse_imu, parse_packet
-from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import SWEEP_POINTS_MAX
-from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
 from aero_viz.recordings.imu_messages import GRAVITY, ImuRows
 from aero_viz.recordings.ouster import find_metadata
-from aero_viz.recordings.pcap import udp_payloads
+from aero_viz.recordings.pcap import Datagram, udp_payloads
+from aero_viz.recordings.sensors import choose_sensor
+from aero_viz.recordings.velodyne import is_velodyne
 
-LVX_MAGIC = b"livox_tech"
 _SWEEP = 100_000_000
 """A Livox does not rotate: the packets of this period form a sweep [ns]."""
-_LVX_HEADER, _LVX_DEVICE, _LVX_FRAME = 24 + 5, 63, 24
-_LVX_PACKAGE = struct.Struct("<BIBBQHBIB4x")
-_POINT_SIZES = {1: 14, 2: 8}
-_POINT_INTERVAL = 1e9 / 200_000  # of a Mid-360 [ns]; .lvx2 does not say
-_VELODYNE = 1206
 _OUSTER_PORT = 7502
-_TIME_MAX = 2**32 - 1  # [ns]
-_PACKAGE_MAX = 1 << 20
 _PROBED = 2000
+_VELODYNE_POINTS = 12 * 32
+"""Points of a packet."""
+
+
+class _Kind(NamedTuple):
+    """A kind of packets that sensors send."""
+
+    name: str
+    fits: Callable[[Datagram], bool]
+
+
+_READ = [
+    _Kind("livox", lambda datagram: isinstance(parse_packet(datagram.payload), LivoxPacket)),
+    _Kind("velodyne", lambda datagram: is_velodyne(datagram.payload)),
+    _Kind("ouster", lambda datagram: datagram.port == _OUSTER_PORT),
+]
+_UNREAD = [
+    _Kind("a Hesai", lambda datagram: datagram.payload[:2] == b"\xee\xff"),
+    _Kind("a RoboSense", lambda datagram: datagram.payload.startswith((b"\x55\xaa", b"\xa5\xff\x00\x5a"))),
+    _Kind(
+        "a Livox of the first generation",
+        lambda datagram: datagram.payload[:1] == b"\5" and len(datagram.payload) in (1318, 1362),
+    ),
+    _Kind("an LSLiDAR", lambda datagram: datagram.payload[:2] == b"\xff\xee" and len(datagram.payload) == 1212),
+]
 
 
 def pcap_kind(path: Path) -> str:
@@ -47,22 +63,68 @@ def pcap_kind(path: Path) -> str:
     Raises:
         UserError: they are none of these.
     """
-    counts = {"livox": 0, "velodyne": 0, "ouster": 0}
+    counts: Counter[str] = Counter()
     with contextlib.suppress(EOFError, ValueError):  # reported once the sweeps are read
         for datagram in itertools.islice(udp_payloads(path), _PROBED):
-            payload = datagram.payload
-            counts["livox"] += isinstance(parse_packet(payload), LivoxPacket)
-            counts["velodyne"] += len(payload) == _VELODYNE and payload[:2] == b"\xff\xee"
-            counts["ouster"] += datagram.port == _OUSTER_PORT
-    kind = max(counts, key=lambda name: counts[name])
-    if not counts[kind]:
-        if find_metadata(path):
-            return "ouster"
+            counts["UDP"] += 1
+            counts.update(kind.name for kind in (*_READ, *_UNREAD) if kind.fits(datagram))
+    known = [kind.name for kind in _READ if counts[kind.name]]
+    if known:
+        return max(known, key=lambda name: counts[name])
+    if find_metadata(path):
+        return "ouster"
+    foreign = next((kind.name for kind in _UNREAD if counts[kind.name]), None)
+    if foreign:
         raise UserError(
-            f"{path} has no packets of a Livox Mid-360, a Velodyne or an Ouster: capture the sensor's UDP port; an "
-            "Ouster on a port other than 7502 needs its metadata (JSON) in the same folder."
+            f"{path} holds packets of {foreign}, which AERO-Viz does not decode: let the driver of the sensor replay "
+            "them, and record its PointCloud2 topic."
         )
-    return kind
+    held = f"the first {counts['UDP']} of UDP are of another kind" if counts["UDP"] else "it has none of UDP"
+    raise UserError(
+        f"{path} has no packets of a Livox Mid-360, a Velodyne or an Ouster ({held}): capture the sensor's UDP port; "
+        "an Ouster on a port other than 7502 needs its metadata (JSON) in the same folder."
+    )
+
+
+class Captured(NamedTuple):
+    """The packets of one sensor of a capture."""
+
+    datagrams: Callable[[], Iterator[Datagram]]
+    notice: str
+    """Sentence on the sensors that are left out; empty if there are none."""
+
+
+def packets_of_sensor(path: Path, kind: str, wanted: str | None) -> Captured:
+    """Return the packets of one Livox or Velodyne of a capture, and those of its IMU.
+
+    A sensor is known by its address and, unless it is a Livox, by the port that it sends to.
+
+    Args:
+        path: the capture.
+        kind: "livox" or "velodyne".
+        wanted: see `choose_sensor`.
+
+    Raises:
+        UserError: no sensor has the wanted name.
+    """
+
+    def name(datagram: Datagram) -> str:
+        return datagram.source if kind == "livox" else f"{datagram.source}:{datagram.port}"
+
+    counts: Counter[str] = Counter()
+    with contextlib.suppress(EOFError, ValueError):
+        for datagram in udp_payloads(path):
+            if kind == "velodyne":
+                counts[name(datagram)] += _VELODYNE_POINTS * is_velodyne(datagram.payload)
+            elif isinstance(packet := parse_packet(datagram.payload), LivoxPacket):
+                counts[name(datagram)] += packet.count
+    chosen, notice = choose_sensor(+counts, wanted, path)
+    return Captured(lambda: (datagram for datagram in udp_payloads(path) if name(datagram) == chosen), notice)
+
+
+def velodyne_packets(datagrams: Iterable[Datagram]) -> Iterator[tuple[int, bytes]]:
+    """Yield the times of capture [ns] and the point packets of a Velodyne."""
+    return ((datagram.time, datagram.payload) for datagram in datagrams if is_velodyne(datagram.payload))
 
 
 def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
@@ -90,85 +152,11 @@ def livox_sweeps(packets: Iterator[LivoxPacket]) -> Iterator[StampedCloud]:
             yield StampedCloud(start, np.concatenate(parts), np.concatenate(times))
 
 
-def pcap_livox_packets(path: Path, imu: ImuRows) -> Iterator[LivoxPacket]:
-    """Yield the point packets of a capture, and add the samples of the IMU among them to `imu`."""
-    for datagram in udp_payloads(path):
+def pcap_livox_packets(datagrams: Iterable[Datagram], imu: ImuRows) -> Iterator[LivoxPacket]:
+    """Yield the point packets of a Livox, and add the samples of the IMU among its packets to `imu`."""
+    for datagram in datagrams:
         packet = parse_packet(datagram.payload)
         if isinstance(packet, LivoxPacket):
             yield packet
         elif (sample := parse_imu(datagram.payload)) is not None:
             imu.add(sample[0], sample[1][:3], [GRAVITY * value for value in sample[1][3:]])
-
-
-def lvx2_packets(path: Path) -> Iterator[LivoxPacket]:
-    """Yield the point packets of a .lvx2 file.
-
-    Raises:
-        UserError: it is a file of Livox's older format.
-        EOFError: it is truncated.
-        ValueError: it is damaged.
-    """
-    with open_user_file(path) as file:
-        head = file.read(_LVX_HEADER)
-        if len(head) < _LVX_HEADER or head[16] != 2:
-            raise UserError(f"{path} is not an .lvx2 file (version 2); export it again with Livox Viewer 2.")
-        file.seek(_LVX_HEADER + _LVX_DEVICE * head[28])
-        while frame := file.read(_LVX_FRAME):
-            if len(frame) < _LVX_FRAME:
-                raise EOFError
-            here, after, _ = struct.unpack("<3Q", frame)
-            end = file.tell() - _LVX_FRAME + (after - here)
-            while file.tell() < end:
-                yield _lvx2_packet(file)
-
-
-def _lvx2_packet(file: BinaryIO) -> LivoxPacket:
-    header = file.read(_LVX_PACKAGE.size)
-    if len(header) < _LVX_PACKAGE.size:
-        raise EOFError
-    _, _, _, time_type, stamp, sequence, kind, length, _ = _LVX_PACKAGE.unpack(header)
-    size = _POINT_SIZES.get(kind)
-    if length > _PACKAGE_MAX or size is None or length % size:
-        raise ValueError(
-            f"damaged, a package claims {length} bytes of points of type {kind}: only the data before it is used"
-        )
-    payload = file.read(length)
-    if len(payload) < length:
-        raise EOFError
-    count = length // size
-    interval = 1e-9 * _POINT_INTERVAL * max(count - 1, 0)
-    return LivoxPacket(stamp, interval, count, sequence, kind, time_type, payload)
-
-
-def velodyne_sweeps(path: Path) -> Iterator[StampedCloud]:
-    """Yield the sweeps of a capture of a Velodyne.
-
-    Raises:
-        UserError: velodyne-decoder is not installed.
-        ValueError: the capture is damaged.
-    """
-    try:
-        import velodyne_decoder as decoder
-    except ImportError as error:
-        raise UserError(
-            f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
-        ) from error
-    config = decoder.Config()
-    config.timestamp_first_packet = True
-    with open_user_file(path) as file:
-        clouds = decoder.read_pcap(file, config)
-        while True:
-            try:
-                stamp, points = next(clouds)
-            except StopIteration:
-                return
-            except Exception as error:  # the decoder fails in many ways on damaged captures
-                raise ValueError(f"damaged ({one_line(error)}): only the data before it is used") from error
-            table: Any = np.asarray(points)
-            offsets = table[:, decoder.PointField.time].astype(np.float64)
-            start = float(offsets.min()) if len(offsets) else 0.0
-            host = float(getattr(stamp, "host", stamp))
-            if not math.isfinite(host + start):
-                raise ValueError("damaged, a time is not finite: only the data before it is used")
-            times = np.clip(np.round(1e9 * (offsets - start)), 0, _TIME_MAX).astype(np.uint32)
-            yield StampedCloud(round(1e9 * (host + start)), table[:, :3].astype(np.float32), times)

@@ -37,6 +37,8 @@ class RawCloud(NamedTuple):
     """View of the message as structured array [height, width] with the fields x, y, z and, if recorded, time."""
     notice: str = ""
     """Assumption about such clouds, for the user."""
+    sensor: str = ""
+    """Name of the sensor, where the message has one besides its frame."""
 
 
 class DecodedPoints(NamedTuple):
@@ -134,8 +136,13 @@ def decode_points(
     return DecodedPoints(np.ascontiguousarray(points), times, count - len(points))
 
 
-def common_time_unit(clouds: Iterable[RawCloud]) -> float | None:
-    """Return the unit of the times of points [s] that fits most points of some clouds of a topic, None if none fits."""
+def common_time_unit(clouds: Iterable[RawCloud], period: float | None = None) -> float | None:
+    """Return the unit of the times of points [s] that fits most points of some clouds of a topic, None if none fits.
+
+    Args:
+        clouds: some clouds of the topic.
+        period: time from one of its clouds to the next [s]; None where it is not known.
+    """
     votes: dict[float, int] = {}
     for cloud in clouds:
         rows = cloud.rows.reshape(-1)
@@ -143,7 +150,7 @@ def common_time_unit(clouds: Iterable[RawCloud]) -> float | None:
             break
         with np.errstate(over="ignore", invalid="ignore"):
             valid = valid_points(np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32))
-        if unit := time_unit(rows["time"][valid]):
+        if unit := time_unit(rows["time"][valid], period):
             votes[unit] = votes.get(unit, 0) + int(valid.sum())
     return max(votes, key=lambda unit: votes[unit]) if votes else None
 

@@ -15,11 +15,13 @@ from aero_planner.user_file import open_user_file, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
-from aero_viz.recordings.other_formats import FIRST_STAMP, SINCE_1970, is_oxts
+from aero_viz.recordings.cloud_folders import is_oxts
+from aero_viz.recordings.cloud_times import FIRST_STAMP, SINCE_1970
 from aero_viz.recordings.oxts import oxts_mount, read_oxts
 from aero_viz.recordings.pose_tables import PoseTable, read_pose_text
 from aero_viz.recordings.poses import POSE_TOLERANCE, RecordedPoses
 from aero_viz.recordings.transforms import IDENTITY
+from aero_viz.scenes.decoder_checks import refuse_pointer
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import Recording
@@ -43,8 +45,9 @@ def read_pose_file(path: Path) -> PoseTable:
         UserError: the file cannot be read or is of another format.
     """
     if is_oxts(path):
-        return PoseTable("KITTI's oxts", *read_oxts(path))
+        return PoseTable("KITTI's oxts", *read_oxts(path), is_in_seconds=True)
     try:
+        refuse_pointer(path)
         with open_user_file(path) as file:
             is_ulog = file.read(len(ULOG_MAGIC)) == ULOG_MAGIC
             file.seek(0)
@@ -124,7 +127,7 @@ def _ulog_poses(path: Path, data: dict[str, dict[str, NDArray[np.generic]]]) -> 
     quaternions = multiply(multiply(_NED_TO_ENU, frd[nearest]), _FLU_TO_FRD)
     positions, velocities = rotate(_NED_TO_ENU, ned), rotate(_NED_TO_ENU, speed)
     twists = rotate(quaternions * [1.0, -1.0, -1.0, -1.0], velocities)
-    return PoseTable("ULog", times, positions, quaternions, twists, _utc(data))
+    return PoseTable("ULog", times, positions, quaternions, twists, _utc(data), is_in_seconds=True)
 
 
 def _utc(data: dict[str, dict[str, NDArray[np.generic]]]) -> float | None:
@@ -152,11 +155,8 @@ def add_poses(recording: Recording, path: Path) -> None:
     sweeps = recording.sweep_times
     notices = [f"poses are those of {path.name} ({table.format})", *([table.notice] if table.notice else [])]
     if table.times is None:
-        if len(table.positions) != len(sweeps):
-            raise UserError(
-                f"{path} has {len(table.positions)} poses and {recording.path} {len(sweeps)} sweeps: KITTI text must "
-                "have one pose per sweep; give TUM text, which has times."
-            )
+        table, notice = _poses_of_sweeps(table, path, recording)
+        notices += [notice] if notice else []
         times = sweeps
         if mount := _camera_mount(path, recording.path):
             name, camera = mount
@@ -176,6 +176,28 @@ def add_poses(recording: Recording, path: Path) -> None:
         raise UserError(f"The poses of {path} do not overlap the sweeps of {recording.path} in time.")
     recording.keep(covered)
     recording.use_poses(poses.shifted(float(sweeps[covered][0])), path.name, notices, origin="file")
+
+
+def _poses_of_sweeps(table: PoseTable, path: Path, recording: Recording) -> tuple[PoseTable, str]:
+    """Return one pose per sweep: all poses or, where there are more, those with the numbers of the clouds; a notice.
+
+    Raises:
+        UserError: the poses are not those of the sweeps.
+    """
+    count, sweeps, numbers = len(table.positions), len(recording.sweep_times), recording.sweep_numbers
+    if table.numbers is None and count == sweeps:
+        return table, ""
+    named = range(count) if table.numbers is None else table.numbers.tolist()
+    row_of = {number: row for row, number in enumerate(named)}
+    if numbers is None or not row_of.keys() >= set(numbers) or (table.numbers is None and count < sweeps):
+        raise UserError(
+            f"{path} has {count} poses and {recording.path} {sweeps} sweeps: text without times must have one pose per "
+            "sweep, or one for the number in the name of each cloud; give TUM text, which has times, with --poses, or "
+            "estimate the motion with --odometry kiss-icp."
+        )
+    rows = [row_of[number] for number in numbers]
+    chosen = table._replace(positions=table.positions[rows], quaternions=table.quaternions[rows])
+    return chosen, f"of the {count} poses of {path.name}, those with the numbers in the names of the clouds are used"
 
 
 def _camera_mount(poses: Path, recording: Path) -> tuple[Path, NDArray[np.float64]] | None:
@@ -216,7 +238,7 @@ def _align(table: PoseTable, sweeps: NDArray[np.float64], start: float) -> tuple
     """Their names, the time that becomes zero, and the least part of the sweeps that they must cover."""
     if table.utc is not None:
         ways.insert(0, ("aligned by GPS time", start - table.utc, 0.0))
-    ways += [("counted from the first sweep", 0.0, 0.5)] if table.format == "TUM" else []
+    ways += [("counted from the first sweep", 0.0, 0.5)] if not table.is_in_seconds else []
     ways.append(("the first pose is assumed to be that of the first sweep", None, 1.0))
     fits = [(choice, least, *_best_unit(table, sweeps, zero)) for choice, zero, least in ways]
     for is_plausible in (True, False):
@@ -248,7 +270,7 @@ def _best_unit(
     end = sweeps[-1] + POSE_TOLERANCE
     step = np.median(np.diff(np.sort(times))) if len(times) > 1 else 0.0
     best = ("", times - zero, 0.0)
-    for name, unit in _UNITS.items() if table.format == "TUM" else [("", 1.0)]:
+    for name, unit in [("", 1.0)] if table.is_in_seconds else _UNITS.items():
         scaled = times * unit - zero
         start, stop = scaled.min(), scaled.max()
         common = min(stop, end) - max(start, sweeps[0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from array import array
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +19,13 @@ _NUMBERS_MAX = 1 << 26
 _LARGEST = 1e19
 """Largest number in a table of poses, which is a time since 1970 [ns]."""
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_WIDTHS = (7, 8, 9, 12, 13, 16, 17)
+"""Numbers of columns that are known without a header."""
+_COUNTED_MAX = 1e7
+"""Whole numbers below this that increase are numbers of clouds and no times."""
 _TIME_WORDS = {"t", "time", "timestamp", "stamp"}
-_UNIT_WORDS = {"header", "field", "s", "sec", "secs", "seconds", "ms", "us", "ns", "nsec", "nanoseconds"}
+_SECONDS, _NANOSECONDS = {"s", "sec", "secs", "seconds"}, {"ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds"}
+_UNIT_WORDS = {"header", "field", "ms", "us", "", *_SECONDS, *_NANOSECONDS}
 _POSITION_WORDS = {"t", "p", "pos", "position", "trans", "translation", "pose"}
 _QUATERNION_WORDS = {"q", "quat", "quaternion", "orientation", "rot", "rotation"}
 _UPSIDE_DOWN = -0.5
@@ -31,9 +36,9 @@ class PoseTable(NamedTuple):
     """The poses in a file."""
 
     format: str
-    """"TUM", "KITTI", "KITTI's oxts" or "ULog"."""
+    """Name of the format, such as "TUM", "KITTI" or "ULog"."""
     times: NDArray[np.float64] | None
-    """[n] on the file's own clock: [s], or a unit that is to be found for TUM; None for one pose per sweep."""
+    """[n] on the file's own clock; None for one pose per sweep."""
     positions: NDArray[np.float64]
     """[n, 3] [m], world z up."""
     quaternions: NDArray[np.float64]
@@ -44,13 +49,16 @@ class PoseTable(NamedTuple):
     """Time since 1970 at time 0 of the file's clock [s], None where it is not known."""
     notice: str = ""
     """Sentence about what is odd; empty if nothing is."""
+    numbers: NDArray[np.int64] | None = None
+    """Numbers of the clouds of the poses [n], where the file has them in place of times."""
+    is_in_seconds: bool = False
+    """True if the unit of the times is known."""
 
 
 def read_pose_text(path: Path, file: BinaryIO) -> PoseTable:
     """Return the poses in a text.
 
-    Lines have time x y z qx qy qz qw (TUM), the 12 numbers of a 3 x 4 matrix (KITTI), or the columns that a header
-    names.
+    Lines have the columns that a header names, or those of one of `_LAYOUTS`.
 
     Raises:
         UserError: the text holds something else.
@@ -61,13 +69,10 @@ def read_pose_text(path: Path, file: BinaryIO) -> PoseTable:
         raise UserError(f"{path} holds numbers that are not finite: see pose {int(np.argmin(finite)) + 1}.")
     if np.abs(table).max() > _LARGEST:
         raise UserError(f"{path} holds impossible numbers: see pose {int(np.abs(table).max(axis=1).argmax()) + 1}.")
-    if columns is None and table.shape[1] == 12:
-        matrices = table.reshape(-1, 3, 4)
-        rotation = matrices[:, :, :3]
-        if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
-            raise UserError(f"{path} is not KITTI text: its matrices are not rotations.")
-        return PoseTable("KITTI", None, matrices[:, :, 3], quaternion_of_matrix(rotation), None)
-    columns = columns or _TUM
+    layout = _find_layout(table) if columns is None else _Layout("TUM", columns)
+    if layout.columns is None:
+        return _matrices(path, table, layout)
+    table, columns = _with_time(table, layout.columns)
     quaternions = table[:, [columns.index(name) for name in ("qw", "qx", "qy", "qz")]]
     norms = np.linalg.norm(quaternions, axis=1)
     if (np.abs(norms - 1.0) > 0.1).any():
@@ -75,13 +80,60 @@ def read_pose_text(path: Path, file: BinaryIO) -> PoseTable:
         raise UserError(f"{path} is not TUM text: the quaternion of pose {line} has the length {norms[line - 1]:.2f}.")
     quaternions = quaternions / norms[:, None]
     notice = ""
-    if columns is _TUM and np.median(rotation_matrix(quaternions)[:, 2, 2]) < _UPSIDE_DOWN:
+    if layout.columns is _TUM and np.median(rotation_matrix(quaternions)[:, 2, 2]) < _UPSIDE_DOWN:
         notice = (
             f"most poses of {path.name} are upside down: if its quaternions are qw qx qy qz, write the line "
             "`# time x y z qw qx qy qz` at its start"
         )
     positions = table[:, [columns.index(name) for name in "xyz"]]
-    return PoseTable("TUM", table[:, columns.index("time")], positions, quaternions, None, notice=notice)
+    times = table[:, columns.index("time")] if "time" in columns else None
+    return PoseTable(layout.format, times, positions, quaternions, None, notice=notice)
+
+
+class _Layout(NamedTuple):
+    """The columns of a text of poses."""
+
+    format: str
+    columns: tuple[str, ...] | None
+    """Names of the columns; None for the numbers of a matrix."""
+    first: Literal["", "time", "number"] = ""
+    """What precedes the numbers of a matrix."""
+
+
+def _find_layout(table: NDArray[np.float64]) -> _Layout:
+    """Return the layout of a text without a header, by the number of its columns."""
+    width, start = table.shape[1], table[:, 0]
+    is_counted = bool((start == np.round(start)).all() and (np.diff(start) > 0).all() and start.max() < _COUNTED_MAX)
+    if width == 7:
+        return _Layout("text without times", _TUM[1:])
+    if width == 9:
+        pairs = table[:, :2]
+        is_split = bool((pairs == np.round(pairs)).all() and (pairs[:, 1] >= 0).all() and (pairs[:, 1] < 1e9).all())
+        return _Layout("TUM", ("sec", "nsec", *_TUM[1:]) if is_split and not is_counted else ("number", *_TUM))
+    if width in (13, 17):
+        first = "number" if is_counted else "time"
+        return _Layout(f"{first}s and matrices", None, first)
+    return _Layout("TUM", _TUM) if width == 8 else _Layout("KITTI", None)
+
+
+def _matrices(path: Path, table: NDArray[np.float64], layout: _Layout) -> PoseTable:
+    """Return poses from matrices of three or four rows, one in each line."""
+    first, numbers = (table[:, 0], table[:, 1:]) if layout.first else (None, table)
+    matrices = numbers.reshape(len(table), -1, 4)
+    rotation = matrices[:, :3, :3]
+    if np.abs(np.linalg.det(rotation) - 1.0).max() > 0.1:
+        raise UserError(f"{path} is not KITTI text: its matrices are not rotations.")
+    frames = None if first is None or layout.first == "time" else first.astype(np.int64)
+    times = first if layout.first == "time" else None
+    return PoseTable(layout.format, times, matrices[:, :3, 3], quaternion_of_matrix(rotation), None, numbers=frames)
+
+
+def _with_time(table: NDArray[np.float64], columns: tuple[str, ...]) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Return a table whose time is one column [s], where it is in two: seconds and nanoseconds."""
+    if "sec" not in columns or "nsec" not in columns:
+        return table, columns
+    times = table[:, columns.index("sec")] + 1e-9 * table[:, columns.index("nsec")]
+    return np.column_stack([times, table]), ("time", *columns)
 
 
 def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDArray[np.float64]]:
@@ -95,9 +147,12 @@ def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDA
         if not width and columns is None and (columns := _header(path, line)):
             continue
         width = width or len(words)
-        expected = (8, 12) if columns is None else (len(columns),)
+        expected = _WIDTHS if columns is None else (len(columns),)
         if len(words) != width or width not in expected:
-            layout = "8 numbers (TUM: time x y z qx qy qz qw) or 12 (KITTI)"
+            layout = (
+                "8 numbers (TUM: time x y z qx qy qz qw), 9 (sec nsec x y z qx qy qz qw), 12 or 16 (a matrix, KITTI), "
+                "or 13 or 17 (time and matrix), or a header must name them"
+            )
             layout = layout if columns is None else f"the {len(columns)} numbers that its header names"
             raise UserError(f"{path} holds no poses: every line must have {layout}.")
         try:
@@ -118,8 +173,15 @@ def _header(path: Path, line: bytes) -> tuple[str, ...] | None:
         UserError: the line names the columns of a quaternion, but not all of those of a pose.
     """
     text = re.sub(r"\[[^]]*\]|\([^)]*\)", " ", line.decode("utf-8", errors="replace").lower()).strip().strip("#%;, ")
-    names = tuple(map(_column, re.split(r"\s*[,;]\s*|\s+", text)))
-    if set(names) >= set(_TUM) and all(names.count(name) == 1 for name in _TUM):
+    found = re.split(r"\s*[,;]\s*|\s+", text)
+    names = tuple(map(_column, found))
+    if names.count("time") != 1:  # in two columns, or in none
+        names = tuple(_part_of_time(word) or name for word, name in zip(found, names, strict=True))
+        names = tuple("time" if name == "sec" and "nsec" not in names else name for name in names)
+        timed = ("sec", "nsec", *_TUM[1:]) if "nsec" in names else _TUM
+    else:
+        timed = _TUM
+    if set(names) >= set(timed) and all(names.count(name) == 1 for name in timed):
         return names
     if any(name in names for name in ("qw", "qx", "qy", "qz")) and len(names) >= len(_TUM) - 1:
         raise UserError(
@@ -138,3 +200,11 @@ def _column(name: str) -> str:
     if axis in tuple("wxyz") and not _QUATERNION_WORDS.isdisjoint(kinds):
         return f"q{axis}"
     return axis if axis in tuple("xyz") and (not kinds or not _POSITION_WORDS.isdisjoint(kinds)) else name
+
+
+def _part_of_time(name: str) -> str:
+    """Return "sec" or "nsec" for the name of a column with one part of the time, empty for another name."""
+    *kinds, last = re.split(r"[._/]+", name.strip("'\""))
+    if not set(kinds) <= _TIME_WORDS | _UNIT_WORDS:
+        return ""
+    return "sec" if last in _SECONDS else "nsec" if last in _NANOSECONDS else ""

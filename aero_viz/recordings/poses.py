@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.pose_track import PoseTrack
-from aero_planner.quaternions import rotate
+from aero_planner.quaternions import conjugate, multiply, rotate
 
 SPEED_MAX = 1e3
 """A larger component of a velocity [m/s] is not that of a drone."""
@@ -96,6 +96,14 @@ class RecordedPoses:
         """Return the same poses with times counted from `start` [s]."""
         result = copy.copy(self)
         result.times = self.times - start
+        result.track = result._build_track()
+        return result
+
+    def turned(self, rotation: Array) -> RecordedPoses:
+        """Return the motion of the same body with other axes; `rotation` [4] is from its old axes to the new ones."""
+        result = copy.copy(self)
+        result.quaternions = multiply(self.quaternions, conjugate(rotation))
+        result.twists = None if self.twists is None else rotate(rotation, self.twists)
         result.track = result._build_track()
         return result
 

@@ -5,27 +5,26 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
+from aero_planner.quaternions import compose_transforms, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
+from aero_viz.recordings.axes import other_axes
+from aero_viz.recordings.bag_file import BagFile
+from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
-from aero_viz.recordings.contents import CloudEntry, Contents, read_contents
+from aero_viz.recordings.contents import CloudEntry, Contents
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
-from aero_viz.recordings.storage import Storage, open_storage, readable
-from aero_viz.recordings.topics import choose_cloud_topic, choose_poses, suggest_other_clouds
+from aero_viz.recordings.sensors import choose_sensor
+from aero_viz.recordings.storage import Storage
+from aero_viz.recordings.topics import PoseSource, choose_cloud_topic, choose_poses, suggest_other_clouds
 from aero_viz.recordings.transforms import IDENTITY, Transform
-
-if TYPE_CHECKING:
-    from aero_viz.recordings.odometry import OdometryProgress
-    from aero_viz.recordings.odometry_choice import OdometryChoice
 
 NO_POSES = (
     "no poses are recorded: the sensor is assumed to stand still; play with --odometry auto to estimate its motion "
@@ -69,22 +68,29 @@ class Recording:
         """Name of the format, such as "mcap", "rosbag2-sqlite3" or "lvx2"."""
         self.problems: list[str] = list(contents.problems)
         """Notices for the user, one sentence each."""
-        cloud = choose_cloud_topic(contents, points_topic)
+        cloud, notice = choose_cloud_topic(contents, points_topic)
+        self.problems += [notice] if notice else []
         self.points_topic = cloud.name
         self._type, self._encoding = cloud.type, cloud.encoding
-        entries = sorted((entry for entry in cloud.clouds if entry.count), key=lambda entry: entry.time)
+        clouds = [entry for entry in cloud.clouds if entry.count]
+        entries = sorted(self._of_one_sensor(clouds, contents, storage.choices.sensor), key=lambda entry: entry.time)
         if not entries:
             advice = suggest_other_clouds(contents, cloud)
             raise UserError(f"No sweep on {cloud.name} of {self.path} has a point{advice}.")
-        if len(entries) < len(cloud.clouds):
-            empty = len(cloud.clouds) - len(entries)
+        if len(clouds) < len(cloud.clouds):
+            empty = len(cloud.clouds) - len(clouds)
             self.problems.append(f"{empty} of {len(cloud.clouds)} sweeps on {cloud.name} have no points: left out")
-        self._set_timeline(contents, entries, pose_topic)
+        self._set_timeline(contents, entries, pose_topic, storage.choices.cloud_frame)
         self.sweep_counts = np.array([entry.count for entry in self._entries], np.int64)
         """Number of points in each playable sweep [n], invalid ones included."""
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
-        self._time_unit = common_time_unit(self._sampled_clouds())
+        period = float(np.median(np.diff(self.sweep_times))) if len(self.sweep_times) > 1 else None
+        self._time_unit = common_time_unit(self._sampled_clouds(), period)
+        if self._time_unit is not None and self._time_unit not in (1.0, 1e-3, 1e-6, 1e-9):
+            self.problems.append(
+                f"the times of points run from 0 to 1 and are taken for shares of a sweep of {self._time_unit:.3g} s"
+            )
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not self._has_valid_point():
             advice = suggest_other_clouds(contents, cloud)
@@ -93,12 +99,13 @@ class Recording:
                 f"range{advice}."
             )
 
-        if self.poses is None and storage.pose_file is not None:
-            from aero_viz.recordings.pose_files import add_poses
-
-            add_poses(self, storage.pose_file)
-
-    def _set_timeline(self, contents: Contents, entries: list[CloudEntry], pose_topic: str | None) -> None:
+    def _set_timeline(
+        self,
+        contents: Contents,
+        entries: list[CloudEntry],
+        pose_topic: str | None,
+        cloud_frame: CloudFrame,
+    ) -> None:
         """Choose the poses and the clock, and keep the sweeps that have a pose."""
         times = np.array([(entry.time, entry.arrival) for entry in entries], np.int64)
         fault = find_clock_fault(*times.T)
@@ -115,7 +122,11 @@ class Recording:
             self.problems.append(f"no pose covers sweeps {_format_ranges(np.flatnonzero(~covered))} of {len(entries)}")
         if use_stamps and not stamped:
             self.problems.append("the stamps of sweeps and poses are on different clocks: times of recording are used")
-        if source is not None and source.notice:
+        if source is not None and source.in_world and cloud_frame == "body":
+            self.problems.append(
+                f"clouds in {entries[0].frame!r} are taken to move with the body, as --cloud-frame says"
+            )
+        elif source is not None and source.notice:
             self.problems.append(source.notice)
         kept = [entry for entry, keep in zip(entries, covered, strict=True) if keep]
         times = np.array([entry.time if stamped else entry.arrival for entry in kept], np.int64)
@@ -136,23 +147,61 @@ class Recording:
         """Motion of the body, None if no poses are recorded."""
         self.extrinsic: Transform = IDENTITY
         """Pose of the sensor in the body's frame."""
+        self._cloud_frame = cloud_frame
+        self._registered: RecordedPoses | None = None
         if source is not None:
             self.poses = source.poses.shifted(float(times[0] - start) * 1e-9)
             self.extrinsic = source.extrinsic
-        self._registered = self.poses if source is not None and source.in_world else None
+            if cloud_frame == "world" or (source.in_world and cloud_frame != "body"):
+                self._registered, self.extrinsic = self.poses, IDENTITY
+        if self._registered is None:
+            self._mount(contents, source, entries[0].file)
+
+    def _mount(self, contents: Contents, source: PoseSource | None, file: BagFile) -> None:
+        """Mount the sensor as the recording says, and turn the axes of frames whose names say that they differ."""
+        body, axes = self.cloud_frame, self.cloud_frame
+        if source is not None:
+            body, axes = source.body, source.body if source.is_joined else self.cloud_frame
+        elif file.mounting is not None:
+            self.extrinsic = Transform(file.mounting.position, file.mounting.quaternion)
+            self.problems.append(file.mounting.notice)
+            return
+        else:
+            body = axes = contents.transforms.carrier(self.cloud_frame, world="")
+            if body != self.cloud_frame and (joined := contents.transforms.between(body, self.cloud_frame)):
+                self.extrinsic = joined
+                self.problems.append(f"the sensor is mounted on {body!r} by /tf_static; --extrinsic replaces this")
+        if found := other_axes(axes):
+            turn = Transform(np.zeros(3), found.rotation)
+            self.extrinsic = Transform(*compose_transforms(*turn, *self.extrinsic))
+            self.problems.append(
+                f"the axes of {axes!r} are {found.name} by its name: points are turned to forward, left, up; "
+                "--extrinsic replaces this"
+            )
+        if self.poses is not None and (found := other_axes(body)):
+            self.poses = self.poses.turned(found.rotation)
+
+    def _of_one_sensor(self, entries: list[CloudEntry], contents: Contents, wanted: str | None) -> list[CloudEntry]:
+        """Return the clouds of one sensor. Those in frames that static transforms join count as those of one."""
+        roots: dict[str, str] = {}
+        for frame in dict.fromkeys(entry.frame for entry in entries):
+            joined = (root for root in roots.values() if contents.transforms.between(root, frame) is not None)
+            roots[frame] = next(joined, frame)
+        points: dict[str, int | None] = {}
+        names = [" ".join(filter(None, (roots[entry.frame], entry.sensor))) for entry in entries]
+        for name, entry in zip(names, entries, strict=True):
+            points[name] = (points.get(name) or 0) + entry.count
+        is_settled = bool(entries) and entries[0].file.is_of_chosen_sensor
+        if len(points) < 2 and (wanted is None or is_settled or not points):
+            return entries
+        chosen, notice = choose_sensor(points, None if is_settled else wanted, f"{self.points_topic} of {self.path}")
+        self.problems += [notice] if notice else []
+        return [entry for name, entry in zip(names, entries, strict=True) if name == chosen]
 
     def _join_frames(self, contents: Contents) -> dict[str, Transform]:
-        """Return the poses of other frames of the sweeps in `cloud_frame`, and report those that are not known."""
+        """Return the poses of other frames of the sweeps in `cloud_frame`."""
         frames = dict.fromkeys(entry.frame for entry in self._entries if entry.frame != self.cloud_frame)
         poses = {frame: contents.transforms.between(self.cloud_frame, frame) for frame in frames}
-        unknown = [frame for frame, pose in poses.items() if pose is None]
-        if unknown:
-            names = ", ".join(repr(frame) for frame in unknown[:3]) + (" and others" if len(unknown) > 3 else "")
-            count = sum(entry.frame in set(unknown) for entry in self._entries)
-            self.problems.append(
-                f"{count} of {len(self._entries)} sweeps on {self.points_topic} are in {names}, the first is in "
-                f"{self.cloud_frame!r}, and no static transform joins them: they are assumed to be the same frame"
-            )
         return {frame: pose for frame, pose in poses.items() if pose is not None}
 
     def _sampled_clouds(self) -> Iterator[RawCloud]:
@@ -203,7 +252,22 @@ class Recording:
             origin: where they come from.
         """
         self.poses, self.pose_topic, self.pose_origin = poses, name, origin
+        if self._cloud_frame == "world":
+            self._registered = poses
+            self._cached_sweep.cache_clear()
         self.problems = [*(problem for problem in self.problems if problem != NO_POSES), *problems]
+
+    @property
+    def sweep_numbers(self) -> list[int] | None:
+        """Numbers in the names of the files of the playable sweeps; None unless every sweep has one of its own."""
+        numbers = [entry.file.number(entry.position) for entry in self._entries]
+        known = [number for number in numbers if number is not None]
+        return known if len(set(known)) == len(numbers) else None
+
+    @property
+    def is_in_world(self) -> bool:
+        """True if the clouds were recorded in the frame of the world, and are moved to the body by the poses."""
+        return self._registered is not None
 
     @property
     def changes(self) -> tuple[bytes, ...]:
@@ -263,129 +327,9 @@ class Recording:
         self.close()
 
 
-def open_recording(
-    path: str | Path,
-    *,
-    points_topic: str | None = None,
-    pose_topic: str | None = None,
-    odometry: OdometryChoice = "none",
-    poses: str | Path | None = None,
-    extrinsic: Sequence[float] | None = None,
-    mask: Sequence[float] | None = None,
-    progress: OdometryProgress = lambda done, total: None,
-) -> Recording:
-    """Open a recording of any supported format: a bag, files or folders of clouds, or a capture of packets.
-
-    One pass over the file reads the poses and finds the sweeps; a sweep is read when it is asked for.
-
-    Args:
-        path: file or folder.
-        points_topic: topic of the sweeps; None chooses the one with the most clouds.
-        pose_topic: topic of the poses; None chooses the first one of Odometry, PoseStamped,
-            PoseWithCovarianceStamped, TransformStamped and TF that overlaps the sweeps, and of these first those whose
-            frame is joined to that of the clouds.
-        odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
-            replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
-        poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
-        extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of the recorded
-            pose.
-        mask: box in the body's frame whose points are left out, see `Recording.mask`.
-        progress: called while poses are estimated.
-
-    Raises:
-        UserError: the recording cannot be played, or its motion cannot be estimated.
-    """
-    storage = open_storage(path)
-    try:
-        with readable(storage.path):
-            contents = read_contents(storage)
-            recording = Recording(storage, contents, points_topic, pose_topic)
-            configure_recording(
-                recording,
-                storage,
-                contents,
-                odometry=odometry,
-                poses=poses,
-                extrinsic=extrinsic,
-                mask=mask,
-                progress=progress,
-            )
-            return recording
-    except BaseException:
-        storage.close()
-        raise
-
-
-def configure_recording(
-    recording: Recording,
-    storage: Storage,
-    contents: Contents,
-    *,
-    odometry: OdometryChoice = "none",
-    poses: str | Path | None = None,
-    extrinsic: Sequence[float] | None = None,
-    mask: Sequence[float] | None = None,
-    progress: OdometryProgress = lambda done, total: None,
-) -> None:
-    """Apply the options of `open_recording` to a recording."""
-    if extrinsic is not None:
-        recording.mount(_mounting(extrinsic))
-    if mask is not None:
-        lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
-        if not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}.")
-        recording.mask(mask)
-    if poses is not None:
-        from aero_viz.recordings.pose_files import add_poses
-
-        add_poses(recording, Path(poses))
-    elif odometry != "none" and (recording.poses is None or odometry != "auto"):
-        _add_odometry(recording, storage, contents, odometry, progress)
-
-
 def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
     """Return points [P, 3] of a frame whose pose in another one is `pose` in that other frame."""
     return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)
-
-
-def _mounting(values: Sequence[float]) -> Transform:
-    x, y, z, roll, pitch, yaw = _checked(values, "--extrinsic", "x y z [m] roll pitch yaw [deg]")
-    return Transform(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
-
-
-def _checked(values: Sequence[float], flag: str, meaning: str) -> Sequence[float]:
-    if len(values) != 6 or not np.isfinite(values).all():
-        raise UserError(f"{flag} takes six finite numbers, {meaning}, not {list(values)}.")
-    return values
-
-
-def _add_odometry(
-    recording: Recording, storage: Storage, contents: Contents, choice: OdometryChoice, progress: OdometryProgress
-) -> None:
-    """Estimate the motion of a recording, unless it is in the cache, and use it."""
-    from aero_viz.recordings.imu import read_imu
-    from aero_viz.recordings.odometry import choose_method, estimate_motion
-    from aero_viz.recordings.odometry_cache import load_motion, motion_key, save_motion
-
-    imu = read_imu(storage.files)
-    method = choose_method(choice, imu, timed=any(recording.sweep(i).point_times is not None for i in (0, -1)))
-    files = [file.path for file in storage.files]
-    key = motion_key(files, method, recording.points_topic, recording.pose_topic, *recording.changes)
-    motion = load_motion(key)
-    if motion is None:
-        body = recording.cloud_frame if recording.extrinsic is IDENTITY else None
-        mount = contents.transforms.between(body, imu.frame) if imu and body else None
-        motion = estimate_motion(
-            recording, method, imu, imu_mount=mount or IDENTITY, start=recording.start, progress=progress
-        )
-        if imu and mount is None and imu.frame != body:
-            notice = (
-                f"no static transform joins the IMU's frame {imu.frame!r} and that of the body: assumed to be the same"
-            )
-            motion = motion._replace(problems=(*motion.problems, notice))
-        save_motion(key, motion)
-    source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"
-    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems], origin="odometry")
 
 
 def _format_ranges(indices: Iterable[int]) -> str:

@@ -15,13 +15,15 @@ from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
 from aero_viz.recordings.bag_file import BagFile, list_names, one_line
+from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
+from aero_viz.scenes.decoder_checks import refuse_pointer
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.other_formats import CloudFolder
+    from aero_viz.recordings.cloud_folders import CloudFolder
 
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
@@ -55,10 +57,19 @@ class Storage:
         files: files of the recording.
         is_folder: True if `path` is a rosbag2 folder.
         folder: its clouds if `path` is a folder of cloud files.
+        choices: what the user has settled.
     """
 
-    def __init__(self, path: Path, files: list[Path], *, is_folder: bool, folder: CloudFolder | None = None):
-        self.path = path
+    def __init__(
+        self,
+        path: Path,
+        files: list[Path],
+        *,
+        is_folder: bool,
+        folder: CloudFolder | None = None,
+        choices: Choices = AUTOMATIC,
+    ) -> None:
+        self.path, self.choices = path, choices
         self.pose_file = folder.pose_file if folder else None
         """File of poses that was found next to the clouds."""
         self.problems: list[str] = []
@@ -80,6 +91,8 @@ class Storage:
                 self.files.append(folder.clouds)
                 self.problems += folder.clouds.notices
                 formats.add(folder.format)
+            if choices.columns is not None and not formats & {"bin", "folder of bin"}:
+                raise UserError(f"--columns names the rows of .bin files, and {path} has none; leave it out.")
         except BaseException:
             self._stack.close()
             raise
@@ -93,6 +106,7 @@ class Storage:
             path: a recording, or one that rosbag2 compressed as a whole.
             packed: the compressed file that `path` was made from, by which the user knows it.
         """
+        refuse_pointer(path)
         with open_user_file(path) as file:
             start = file.read(_START)
         name = packed or path
@@ -117,7 +131,7 @@ class Storage:
             raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`.")
         from aero_viz.recordings.other_formats import open_other_file
 
-        if found := open_other_file(path, start):
+        if found := open_other_file(path, start, self.choices):
             found[1].path = name
             self.problems += found[1].notices
             return found
@@ -132,10 +146,15 @@ class Storage:
         self._stack.close()
 
 
-def open_storage(path: str | Path) -> Storage:
+def open_storage(path: str | Path, choices: Choices = AUTOMATIC) -> Storage:
     """Open the recording at `path`: a file of any supported format or a rosbag2 folder.
 
-    Raises UserError if there is none.
+    Args:
+        path: file or folder.
+        choices: what the user has settled.
+
+    Raises:
+        UserError: there is none, or a choice does not apply to it.
     """
     if not str(path).strip():
         raise UserError("The name of the recording is empty: give a file or a folder.")
@@ -146,14 +165,14 @@ def open_storage(path: str | Path) -> Storage:
         if not path.exists():
             raise UserError(_missing(path))
         if not path.is_dir():
-            return Storage(path, [path], is_folder=False)
+            return Storage(path, [path], is_folder=False, choices=choices)
         if (path / "metadata.yaml").is_file():
-            return _open_folder(path)
+            return _open_folder(path, choices)
         files = sorted(path.iterdir())
         ros2 = [file for file in files if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
         # A recorder that is killed writes no metadata.yaml. The files of one recording differ only in a number.
         if len({re.sub(r"(_\d+)?\.(mcap|db3)(\.zstd)?$", "", file.name) for file in ros2}) == 1 and _are_parts(ros2):
-            storage = Storage(path, sorted(ros2, key=_part), is_folder=True)
+            storage = Storage(path, sorted(ros2, key=_part), is_folder=True, choices=choices)
             storage.problems.append("the folder has no metadata.yaml: the recording was probably interrupted")
             missing = sorted(set(range(_part(storage.files[-1].path))) - {_part(file) for file in ros2})
             if missing and len(ros2) > 1:
@@ -164,17 +183,17 @@ def open_storage(path: str | Path) -> Storage:
         # `rosbag record --split` appends the date and a number.
         names = {re.sub(r"(_\d{4}(-\d\d){5})?_\d+\.bag.*$", "", file.name) for file in ros1}
         if ros1 and not ros2 and len(names) == 1 and [_part(file) for file in ros1] == list(range(len(ros1))):
-            return Storage(path, ros1, is_folder=False)
-        from aero_viz.recordings.other_formats import open_cloud_folder
+            return Storage(path, ros1, is_folder=False, choices=choices)
+        from aero_viz.recordings.cloud_folders import open_cloud_folder
 
         if _recordings_in(path):
             raise UserError(_no_recording(path))
-        if folder := open_cloud_folder(path):
-            return Storage(path, [], is_folder=True, folder=folder)
+        if folder := open_cloud_folder(path, choices):
+            return Storage(path, [], is_folder=True, folder=folder, choices=choices)
         raise UserError(_no_recording(path))
 
 
-def _open_folder(path: Path) -> Storage:
+def _open_folder(path: Path, choices: Choices) -> Storage:
     metadata = path / "metadata.yaml"
     try:
         # The files may have been moved since they were recorded, so only their names count.
@@ -188,7 +207,7 @@ def _open_folder(path: Path) -> Storage:
         raise UserError(
             f"{path} lacks {list_names(missing) or 'any storage file'} named in its metadata.yaml: copy it again."
         )
-    return Storage(path, [path / name for name in names], is_folder=True)
+    return Storage(path, [path / name for name in names], is_folder=True, choices=choices)
 
 
 def _relative_paths(metadata: Path) -> list[str]:

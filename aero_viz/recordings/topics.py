@@ -18,6 +18,7 @@ from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
 from aero_viz.recordings.ros_messages import TF_TYPES
 from aero_viz.recordings.transforms import FIXED_FRAMES, IDENTITY, PoseSamples, Transform
+from aero_viz.recordings.velodyne_scan import VELODYNE_SCAN
 
 Array = NDArray[np.float64]
 
@@ -25,7 +26,7 @@ _ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *
 """Types of messages that fit each role of a topic, and the complaint about any other type."""
 
 _UNREAD = {
-    r"/(PacketMsg|UdpFrame|(velodyne|rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
+    r"/(PacketMsg|UdpFrame|(rslidar|pandar|lslidar)Scan|\w+Packets?)$": (
         "record the clouds that the sensor's driver makes while it replays the packets"
     ),
     r"[/.]CompressedPointCloud2?$": (
@@ -57,6 +58,10 @@ class PoseSource(NamedTuple):
     """Time in seconds from the first sweep."""
     extrinsic: Transform
     """Pose of the LiDAR in the body's frame."""
+    body: str
+    """Frame of the body."""
+    is_joined: bool
+    """True if the recording says where the LiDAR is in the body's frame; else the two are assumed to be the same."""
     notice: str
     """Notice for the user about the extrinsic; empty if there is nothing to say."""
     in_world: bool = False
@@ -99,23 +104,38 @@ def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: 
             _find_topic(contents, name, role)
 
 
-def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
-    """Return the topic with the sweeps: the named one or the one with the most clouds.
+def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicContents, str]:
+    """Return the topic with the sweeps, the named one or the one with the most points, and a notice on the others.
 
-    Clouds that are already in the frame of the world come last, and before them planar scans.
+    Clouds that are already in the frame of the world come last, before them planar scans, and before these single
+    clouds, which may be maps, and packets, which may be those of another topic.
 
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
     """
     worlds = {parent for topic in contents.topics for parent, _ in topic.poses if parent}.union(FIXED_FRAMES)
 
-    def order(topic: TopicContents) -> tuple[bool, bool, int, str]:
+    def order(topic: TopicContents) -> tuple[bool, bool, bool, int, str]:
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
-        return placed, topic.type == LASER_SCAN, -len(topic.clouds), topic.name
+        return (
+            placed,
+            topic.type == LASER_SCAN,
+            len(topic.clouds) < 2 or topic.type == VELODYNE_SCAN,
+            -_points(topic),
+            topic.name,
+        )
 
     topics = sorted(contents.topics_with(CLOUD_TYPES), key=order)
+    others = [topic for topic in topics[1:] if topic.clouds]
+    notice = ""
     if name is not None:
         topics = [_find_topic(contents, name, "points")]
+    elif others:
+        seconds = max(contents.duration, 1e-3)
+        rates = [f"{topic.name} ({_points(topic) / seconds:.0f} points a second)" for topic in (topics[0], *others)]
+        notice = (
+            f"of {len(rates)} topics of clouds, {rates[0]} is played; --points-topic plays {_join(rates[1:], ', ')}"
+        )
     if not topics:
         held = _join([f"{topic.name} ({topic.type or 'no type'})" for topic in contents.topics], ", ") or "no topics"
         present = [topic.type for topic in contents.topics if topic.count]
@@ -127,7 +147,11 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> TopicContents:
     if not topics[0].clouds:
         reason = topics[0].reason or "there are no messages"
         raise UserError(f"No cloud on {topics[0].name} of {contents.path} can be read: {reason}.")
-    return topics[0]
+    return topics[0], notice
+
+
+def _points(topic: TopicContents) -> int:
+    return sum(cloud.count for cloud in topic.clouds)
 
 
 def choose_poses(
@@ -229,17 +253,18 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
             return None
         poses, notice = _without_outliers(name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
         in_world = _IN_WORLD.format(frame=frame, topic=name) if body.in_world else ""
-        return PoseSource(name, poses, body.extrinsic, "; ".join(filter(None, (notice, in_world))), body.in_world)
+        text = "; ".join(filter(None, (notice, in_world)))
+        return PoseSource(name, poses, body.extrinsic, body.frame, True, text, body.in_world)
     rows = track.samples.rows()
     times = np.asarray((track.samples.times(stamped=stamped) - start) * 1e-9, np.float64)
     poses, outliers = _without_outliers(name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
-    extrinsic, notice, in_world = IDENTITY, "", False
+    extrinsic, notice, in_world, is_joined = IDENTITY, "", False, True
     body = track.child or contents.transforms.carrier(frame, world=track.parent)
     if track.parent == frame != track.child:
         notice, in_world = _IN_WORLD.format(frame=frame, topic=name), True
     elif body != frame:
         joined = contents.transforms.between(body, frame)
-        extrinsic = joined or IDENTITY
+        extrinsic, is_joined = joined or IDENTITY, joined is not None
         if not track.child:
             notice = (
                 f"poses on {name} do not name their frame: they are taken for those of {body!r}, which carries "
@@ -251,7 +276,7 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
                 "two: they are assumed to be the same frame"
             )
     notices = filter(None, (_other_tracks(track), outliers, notice))
-    return PoseSource(name, poses, extrinsic, "; ".join(notices), in_world)
+    return PoseSource(name, poses, extrinsic, body, is_joined, "; ".join(notices), in_world)
 
 
 def _other_tracks(track: _Track) -> str:

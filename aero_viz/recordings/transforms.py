@@ -38,6 +38,8 @@ class MovingBody(NamedTuple):
     """[n] [ns]."""
     poses: Transform
     """Poses of the body in the fixed frame."""
+    frame: str
+    """Name of the body's frame."""
     in_world: bool = False
     """True if the clouds are in the fixed frame."""
 
@@ -136,12 +138,14 @@ class TransformTree:
         """
         if frame in FIXED_FRAMES:
             edges = self._edges_into(frame)
-            return MovingBody(IDENTITY, *self._follow(edges, stamped=stamped), in_world=True) if edges else None
+            if not edges:
+                return None
+            return MovingBody(IDENTITY, *self._follow(edges, stamped=stamped), edges[0][1], in_world=True)
         edges, extrinsic = self.chain(frame), IDENTITY
         while edges and self.is_static(edges[0]):
             extrinsic = Transform(*compose_transforms(*self._constant(edges[0]), *extrinsic))
             edges = edges[1:]
-        return MovingBody(extrinsic, *self._follow(edges, stamped=stamped)) if edges else None
+        return MovingBody(extrinsic, *self._follow(edges, stamped=stamped), edges[0][1]) if edges else None
 
     def _edges_into(self, world: str) -> list[tuple[str, str]]:
         """Return the edges from the busiest body that moves in a frame of the world up to that frame, if there is one.

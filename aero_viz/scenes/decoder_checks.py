@@ -5,9 +5,37 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from aero_planner.user_file import open_user_file
+from aero_viz.errors import UserError
 from aero_viz.input_limits import MAP_POINTS_MAX
 
+_POINTERS = (
+    b"version https://git-lfs.github.com/spec/",
+    b"/annex/objects/",
+    b"version https://hawser.github.com/spec/",
+)
+"""Starts of what Git LFS and git-annex put in place of a file."""
+_POINTER_MAX = 1024  # [bytes]
 _HEADER_MAX = 65_536  # [bytes] that are searched for the end of a header
+
+
+def refuse_pointer(path: Path) -> None:
+    """Refuse what is left of a file in a checkout without the content of large files.
+
+    Raises:
+        UserError: it is a pointer of Git LFS or git-annex.
+        OSError: it cannot be read.
+    """
+    if path.stat().st_size > _POINTER_MAX:
+        return
+    with open_user_file(path) as file:
+        start = file.read(64)
+    if start.startswith(_POINTERS):
+        tool = "git annex get" if start.startswith(_POINTERS[1]) else "git lfs pull"
+        raise UserError(
+            f"{path} is not the file itself but a pointer to it, as Git keeps large files: fetch it with `{tool}` in "
+            "its repository, or download it."
+        )
 
 
 def check_count(declared: int, present: int, noun: str = "points") -> None:

@@ -25,6 +25,21 @@ _SYSTEM_KEY, _VERTICAL_SYSTEM_KEY = 3072, 4096
 _MODEL_KEY, _PROJECTED = 1024, 1
 """GTModelTypeGeoKey, and its value for coordinates that are lengths in a plane."""
 _GEO_KEYS, _GEO_TEXTS, _WKT = 34735, 34737, 2112
+_WKT_UNIT = re.compile(
+    r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]{1,40})'
+    r'(?:\s*,\s*(?:AUTHORITY|ID)\s*\[\s*"EPSG"\s*,\s*"?(\d{4,6}))?',
+    re.IGNORECASE,
+)
+"""A unit in a text: its name, factor and EPSG code."""
+_NO_LENGTH = re.compile("degree|radian|grad|unity|second", re.IGNORECASE)
+_NAMED_LENGTHS = (
+    (r"(us|ussurvey|survey)(foot|feet|ft)|(foot|feet|ft)(us|ussurvey|survey)", US_FOOT),
+    (r"(intl?|international)?(foot|feet|ft)(intl?|international)?", FOOT),
+    (r"(metre|meter)s?|m", 1.0),
+)
+"""Patterns of names of units, letters only, and their lengths [m]."""
+_TOLERANCE = 1e-3
+"""Relative difference from which a factor contradicts its name."""
 _NOISE = (7, 18)
 """Classes of low and high noise."""
 
@@ -36,6 +51,8 @@ class LasUnits(NamedTuple):
     vertical: float = 1.0
     is_named: bool = True
     """False if the file names no coordinate system."""
+    notice: str = ""
+    """Sentence on what is odd about the units; empty if nothing is."""
 
 
 def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
@@ -155,12 +172,24 @@ def _check_no_degrees(header: Any) -> None:
 def _units_of_wkt(text: str) -> LasUnits:
     """Return the last unit of length of the horizontal and of the vertical coordinate system."""
     parts = re.split(r"VERT_?(?:CS|CRS)\b", text, maxsplit=1, flags=re.IGNORECASE)
-    found: list[float] = []
+    found: list[tuple[float, str]] = []
     for part in parts:
-        units = re.findall(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.eE+-]{1,40})', part, re.IGNORECASE)
-        lengths = [factor for name, factor in units if not re.search("degree|radian|grad|unity", name, re.IGNORECASE)]
-        found.append(float(lengths[-1]) if lengths else 1.0)
-    units = LasUnits(found[0], found[-1])
-    if not all(0.01 < unit < 100.0 for unit in units):
+        lengths = [match for match in _WKT_UNIT.finditer(part) if not _NO_LENGTH.search(match[1])]
+        found.append(_length(lengths[-1]) if lengths else (1.0, ""))
+    notices = dict.fromkeys(notice for _, notice in found if notice)
+    units = LasUnits(found[0][0], found[-1][0], notice="; ".join(notices))
+    if not all(0.01 < unit < 100.0 for unit in (units.horizontal, units.vertical)):
         raise ValueError("the units in its coordinate system are damaged")
     return units
+
+
+def _length(unit: re.Match[str]) -> tuple[float, str]:
+    """Return the length of a unit [m], and a notice where its name and its factor contradict each other."""
+    name, factor, code = unit[1], float(unit[2]), int(unit[3] or 0)
+    plain = re.sub(r"[^a-z]", "", name.lower())
+    known = next((length for pattern, length in _NAMED_LENGTHS if re.fullmatch(pattern, plain)), factor)
+    if abs(factor - known) <= _TOLERANCE * known:
+        return factor, ""
+    length = _LENGTHS.get(code, known)
+    shown = "".join(letter if letter.isprintable() else "?" for letter in name)[:40]
+    return length, f"a unit of the file is called {shown!r} and is {factor:g} m long: {length:.7g} m are used"

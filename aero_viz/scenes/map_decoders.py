@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_viz.input_limits import MAP_POINTS_MAX
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
 from aero_viz.scenes.ply import read_ply
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES, read_text
 
 _COLUMNS_MAX = 8
 """Largest number of columns of a cloud; an array with more has one point per column instead."""
@@ -105,29 +105,6 @@ def _named_columns(table: NDArray[Any]) -> tuple[Points, Times | None]:
     return points, None if time is None else table[time]
 
 
-def _read_text(path: Path) -> tuple[Points, None]:
-    declared, skipped, rows = None, 0, path.stat().st_size // len("0 0 0\n") + 1
-    if path.suffix.lower() == ".pts":
-        with path.open("rb") as file:
-            declared, skipped = int(file.readline(32)), 1
-    points = np.loadtxt(
-        path, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"), encoding="utf-8",
-        max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
-    )  # fmt: skip
-    check_count(len(points) if declared is None else declared, len(points))
-    _check_last_line(path)
-    return points, None
-
-
-def _check_last_line(path: Path) -> None:
-    """Refuse a table of numbers whose last row has fewer columns than the one before."""
-    with path.open("rb") as file:
-        file.seek(max(file.seek(0, 2) - 4096, 0))
-        rows = [line.split() for line in file.read().splitlines()[1:] if line.strip()]
-    if len(rows) > 1 and len(rows[-1]) < len(rows[-2]):
-        raise ValueError(f"it is truncated: its last row has {len(rows[-1])} columns, and others have {len(rows[-2])}")
-
-
 def _has_faces(path: Path) -> bool:
     return path.suffix.lower() == ".ply" and read_ply_header(path)[1].get(b"face", 0) > 0
 
@@ -138,8 +115,5 @@ _READERS: dict[str, Callable[[Path], tuple[NDArray[Any], Times | None]]] = {
     ".las": read_las,
     ".laz": read_las,
     ".npy": _read_npy,
-    ".xyz": _read_text,
-    ".xyzn": _read_text,
-    ".xyzrgb": _read_text,
-    ".pts": _read_text,
+    **dict.fromkeys(TEXT_SUFFIXES, read_text),
 }

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,15 @@ from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
+from aero_viz.scenes.decoder_checks import refuse_pointer
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.solids import Solids
+from aero_viz.scenes.text_cloud import TEXT_SUFFIXES
 
 Points = NDArray[np.float64]
 _logger = logging.getLogger(__name__)
 
-_POINTS = (".pcd", ".ply", ".las", ".laz", ".npy", ".xyz", ".xyzn", ".xyzrgb", ".pts")
+_POINTS = (".pcd", ".ply", ".las", ".laz", ".npy", *TEXT_SUFFIXES)
 MESH_SUFFIXES = (".obj", ".stl", ".glb", ".off")
 MAP_SUFFIXES = (*_POINTS, *MESH_SUFFIXES)
 """File name suffixes that `read_points` and `read_mesh` read."""
@@ -39,8 +41,8 @@ def has_voxels(path: str | Path) -> bool:
 def read_points(path: str | Path, process: DecodingProcess | None = None) -> Points:
     """Return the points of a file [m], float64 [n, 3], without rows that are not finite.
 
-    Formats: PCD (ascii, binary, binary_compressed), PLY, LAS, LAZ, NPY with rows x, y, z, .., and XYZ, XYZN, XYZRGB and
-    PTS texts.
+    Formats: PCD (ascii, binary, binary_compressed), PLY, LAS, LAZ, NPY with rows x, y, z, .., and texts (XYZ, PTS, ASC,
+    CSV, TXT; see `text_cloud`).
 
     Args:
         path: the file.
@@ -112,6 +114,7 @@ def read_solids(path: str | Path, *, pixel: float | None = None) -> Solids:
     """
     path = Path(path)
     try:
+        refuse_pointer(path)
         with open_user_file(path) as file:
             file.read(1)
         with DecodingProcess() as process:
@@ -128,17 +131,17 @@ def read_solids(path: str | Path, *, pixel: float | None = None) -> Solids:
 
 
 def _decode(path: Path, noun: str, content: str, process: DecodingProcess | None = None) -> Points:
-    with _named(path, noun):
-        if process is not None:
-            return process.decode(path, content)
-        with DecodingProcess() as own:
-            return own.decode(path, content)
+    with _named(path, noun), nullcontext(process) if process is not None else DecodingProcess() as decoder:
+        if path.suffix.lower() in (".las", ".laz") and (notice := decoder.las_units(path).notice):
+            _logger.warning("%s: %s", path, notice)
+        return decoder.decode(path, content)
 
 
 @contextmanager
 def _named(path: Path, noun: str) -> Iterator[None]:
     """Check that there is a file with content, and turn errors of reading it into a UserError."""
     try:
+        refuse_pointer(path)
         with open_user_file(path) as file:
             is_empty = not file.read(1)
         if is_empty:

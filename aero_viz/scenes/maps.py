@@ -41,6 +41,7 @@ def load_map(
     start: ArrayLike | None = None,
     goal: ArrayLike | None = None,
     across: bool = False,
+    points: Array | None = None,
 ) -> World:
     """Return the world of a point map (see `read_points`), a mesh (see `read_mesh`) or solids (see `read_solids`).
 
@@ -58,6 +59,7 @@ def load_map(
         goal: [m], [3], in the frame of the map. None chooses the farthest such position within 45 m of the start that
             a drone of radius 0.5 m can reach.
         across: True chooses start and goal at the two ends of the longest side instead, as far apart as possible.
+        points: points of the map [n, 3] [m] that were read from the file before; None reads them.
 
     Raises:
         UserError: the file cannot be read, an argument is out of range, or there is no free start or goal.
@@ -66,27 +68,30 @@ def load_map(
         raise UserError(
             f"The voxels of the map {path} have an edge of {voxel!r} m; it must be in {list(VOXEL_RANGE)} m."
         )
-    is_solids = Path(path).suffix.lower() in SOLID_SUFFIXES
-    points, tables = _read_solids(path, voxel) if is_solids else _read_map(path, voxel)
+    if points is not None:
+        cloud, tables = _read_map(path, voxel, points)
+    elif Path(path).suffix.lower() in SOLID_SUFFIXES:
+        cloud, tables = _read_solids(path, voxel)
+    else:
+        cloud, tables = _read_map(path, voxel, read_map(path))
     # Maps in geographic coordinates are recentred in double precision.
-    shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
-    points = points - shift
+    shift = np.floor(cloud.min(axis=0)) if np.abs(cloud).max() > _RECENTRE_BEYOND else np.zeros(3)
+    cloud = cloud - shift
     tables = {key: _moved(key, table, -shift) for key, table in tables.items()}
     start_position = None if start is None else _position(start, "start") - shift
     goal_position = None if goal is None else _position(goal, "goal") - shift
     try:
         if start_position is None or goal_position is None:
             start_position, goal_position = _choose_ends(
-                points, tables, start_position, goal_position, across=across, path=path
+                cloud, tables, start_position, goal_position, across=across, path=path
             )
         return World(Path(path).stem, start_position, goal_position, **tables)
     except ValueError as error:
         raise UserError(f"Cannot make a world of the map {path}: {error}") from error
 
 
-def _read_map(path: str | Path, voxel: float | None) -> tuple[Array, dict[str, Array]]:
-    """Return the points of a map or points on a mesh [n, 3], and the tables of its world."""
-    table = read_map(path)
+def _read_map(path: str | Path, voxel: float | None, table: Array) -> tuple[Array, dict[str, Array]]:
+    """Return points of a map or on a mesh [n, 3], and the tables of its world; `table` is a result of `read_map`."""
     if table.shape[1] == 9:
         if voxel is not None:
             raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
@@ -257,7 +262,8 @@ def _choose_ends(
 def _best_position(axes: list[Array], allowed: NDArray[np.bool_], score: Array, name: str, path: str | Path) -> Array:
     if not allowed.any():
         raise UserError(
-            f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}; give start and goal."
+            f"The map {path} has no free place {HEIGHT:g} m above its ground for the {name}: crop it, or give "
+            "--start and --goal to demo or fly."
         )
     index = np.unravel_index(np.argmax(np.where(allowed, score, -np.inf)), score.shape)
     return np.array([axis[i] for axis, i in zip(axes, index, strict=True)])

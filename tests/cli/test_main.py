@@ -1,5 +1,6 @@
 """The command line as a whole: mistakes, help, start-up and how it ends."""
 
+import json
 import os
 import shlex
 import subprocess
@@ -170,3 +171,17 @@ def test_a_full_disk_behind_stdout_is_reported_in_one_line():
     done = run_with_stdout("> /dev/full", "parameters")
     assert done.returncode == 2
     assert done.stderr == "aero-viz: the output cannot be written or read: No space left on device.\n"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["inspect", "missing.bag"],
+        ["fly", "forrest"],
+        ["convert", "missing.bag", "out.mcap"],
+        ["explain", "no.mcap"],
+    ],
+)
+def test_json_holds_the_message_of_a_refusal(capsys: pytest.CaptureFixture[str], arguments: list[str]):
+    code, text, error = run(capsys, *arguments, "--json")
+    assert code == 2 and error.strip() == f"aero-viz: {json.loads(text)['error']}"

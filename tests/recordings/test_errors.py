@@ -7,6 +7,7 @@ from mcap.writer import Writer as McapWriter
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import inspect, open_recording
+from aero_viz.scenes.map_files import read_points
 
 
 def test_missing_file_suggests_its_neighbours(tmp_path):
@@ -62,7 +63,7 @@ def test_no_clouds(mcap_of):
     ("kind", "advice"),
     [
         ("ouster_ros/msg/PacketMsg", "driver makes while it replays the packets"),
-        ("velodyne_msgs/msg/VelodyneScan", "driver makes while it replays the packets"),
+        ("pandar_msgs/msg/PandarScan", "driver makes while it replays the packets"),
         ("rslidar_msgs/msg/rslidarScan", "driver makes while it replays the packets"),
         ("nebula_msgs/msg/NebulaPackets", "driver makes while it replays the packets"),
         ("point_cloud_interfaces/msg/CompressedPointCloud2", "point_cloud_transport republish"),
@@ -131,3 +132,30 @@ def test_damaged_files_play_or_are_refused(tmp_path, name, harm):
             outcomes.add("refused")
     # A small compressed bag is a single chunk, of which damage may destroy everything.
     assert "played" in outcomes or name in ("mcap-zstd", "rosbag1-lz4")
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 17843496\n"
+
+
+@pytest.mark.parametrize(
+    "name", ["a.mcap", "a.bag", "a.bin", "a.pcd", "a.las", "a.txt", "a.pcap", "a.osf", "a.unknown"]
+)
+def test_pointers_of_git_are_named(tmp_path, name):
+    for content, tool in ((POINTER, "git lfs pull"), (b"/annex/objects/SHA256E-s99--00.mcap\n", "git annex get")):
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(UserError, match=rf"{name} is not the file itself .*`{tool}`"):
+            open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", ["bin", "pcd", "npy"])
+def test_pointers_of_git_in_a_folder_and_of_poses_are_named(tmp_path, suffix):
+    for k in range(3):
+        (tmp_path / f"{k}.{suffix}").write_bytes(POINTER)
+    with pytest.raises(UserError, match="git lfs pull"):
+        open_recording(tmp_path)
+    bags.write_mcap(tmp_path / "a.mcap", bags.drive(3))
+    with pytest.raises(UserError, match="git lfs pull"):
+        open_recording(tmp_path / "a.mcap", poses=tmp_path / f"0.{suffix}")
+    if suffix != "bin":
+        with pytest.raises(UserError, match="git lfs pull"):
+            read_points(tmp_path / f"0.{suffix}")

@@ -11,6 +11,7 @@ from captures import write_las
 
 from aero_viz.errors import UserError
 from aero_viz.recordings import open_recording
+from aero_viz.scenes.map_files import read_points
 
 WALL = bags.wall(500)
 
@@ -88,3 +89,32 @@ def test_withheld_points_and_noise_of_las_are_left_out(tmp_path: Path):
     content.write(str(path))
     with open_recording(path) as recording:
         np.testing.assert_allclose(recording.sweep(0).points, WALL, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("unit", "length", "is_odd"),
+    [
+        ('"US survey foot",1.0', 1200 / 3937, True),
+        ('"foot",1', 0.3048, True),
+        ('"Foot_US",1.0', 1200 / 3937, True),
+        ('"metre",0.3048', 1.0, True),
+        ('"metre",0.3048006096012192,AUTHORITY["EPSG","9003"]', 1200 / 3937, True),
+        ('"foot",1.0,ID["EPSG",9001]', 1.0, True),
+        ('"foot",0.3048', 0.3048, False),
+        ('"foot",0.3048006096', 0.3048006096, False),
+        ('"ftUS",0.304800609601219', 1200 / 3937, False),
+        ('"metre",1', 1.0, False),
+        ('"link",0.201168', 0.201168, False),
+    ],
+)
+def test_a_unit_whose_name_and_factor_contradict_each_other_is_noted(
+    tmp_path: Path, unit: str, length: float, is_odd: bool, caplog: pytest.LogCaptureFixture
+):
+    path = tmp_path / "plot.laz"
+    wkt = f'PROJCS["a",GEOGCS["NAD83",UNIT["degree",0.0174532925199433]],UNIT[{unit}]]'
+    write_las(path, WALL / length, wkt=wkt)
+    with open_recording(path) as recording:
+        np.testing.assert_allclose(np.ptp(recording.sweep(0).points, axis=0), np.ptp(WALL, axis=0), atol=2e-3)
+        assert any("a unit of the file is called" in text for text in recording.problems) == is_odd
+    read_points(path)
+    assert ("a unit of the file is called" in caplog.text) == is_odd

@@ -125,3 +125,25 @@ def test_a_sensor_that_is_moved_at_once_is_reported_as_failure(
             items.append(bags.cloud(0.1 * k, bags.xyz(points)))
     with open_recording(bags.write_mcap(tmp_path / "a.mcap", items), odometry="kiss-icp") as recording:
         assert any("has probably failed" in text or "has probably drifted" in text for text in recording.problems)
+
+
+@pytest.mark.parametrize("name", ["{}.npy", "velodyne/{:06d}.npy"])
+def test_the_motion_of_a_folder_of_clouds_is_estimated_and_kept(tmp_path, monkeypatch, name):
+    pytest.importorskip("kiss_icp", reason="the extra 'odometry' is not installed")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    folder = tmp_path / "clouds"
+    (folder / name).parent.mkdir(parents=True)
+    random = np.random.default_rng(0)
+    points = random.uniform([-12, -8, -1.5], [12, 8, 4], (4000, 3))
+    walls = random.integers(0, 3, len(points))
+    points[walls == 0, 0], points[walls == 1, 1], points[walls == 2, 2] = 12, -8, -1.5
+    for k in range(5):
+        np.save(folder / name.format(k), points - [0.1 * k, 0, 0])
+    for _ in range(2):
+        with open_recording(folder, odometry="auto") as recording:
+            assert recording.poses is not None and recording.pose_origin == "odometry"
+            assert abs(recording.poses.interpolate(0.4).position[0] - 0.4) < 0.1
+    assert len(list((tmp_path / "cache" / "aero-viz" / "odometry").iterdir())) == 1
+    np.save(folder / name.format(4), points - [0.5, 0, 0])
+    with open_recording(folder, odometry="auto"):
+        assert len(list((tmp_path / "cache" / "aero-viz" / "odometry").iterdir())) == 2

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import write_ouster, write_pcap
+from captures import write_frames, write_ouster, write_pcap, write_two_ousters
 from command_line import run_json, run_refused
 
+from aero_viz.errors import UserError
 from aero_viz.reader_process import ReaderProcess
 from aero_viz.recordings import inspect, open_recording
 from aero_viz.recordings.imu import read_imu
+from aero_viz.recordings.pcap import udp_payloads
 from aero_viz.recordings.storage import open_storage
 
 needs_sdk = pytest.mark.skipif(importlib.util.find_spec("ouster") is None, reason="ouster-sdk is not installed")
@@ -126,3 +128,26 @@ def test_the_library_to_install_is_named(
     for name in ("os.pcap", "os.osf"):
         error = run_refused(capsys, "inspect", str(tmp_path / name))
         assert name in error and "pip install --no-deps ouster-sdk" in error
+
+
+@needs_sdk
+def test_a_capture_of_any_interface_is_read(capture: Path):
+    datagrams = [(frame.time * 1e-9, f"10.0.0.5/{frame.port}", frame.payload) for frame in udp_payloads(capture)]
+    for link, ng in (("cooked 2", False), ("cooked", True), ("ethernet", True)):
+        write_frames(capture, datagrams, link=link, ng=ng)
+        with open_recording(capture) as recording:
+            np.testing.assert_allclose(recording.sweep_times, [0.0, 0.1, 0.2], atol=1e-9)
+
+
+@needs_sdk
+def test_sensors_of_an_osf_are_named_and_mounted(tmp_path: Path):
+    ReaderProcess()(write_two_ousters, tmp_path / "two.osf")
+    with open_recording(tmp_path / "two.osf") as recording:
+        np.testing.assert_allclose(np.linalg.norm(recording.sweep(1).points, axis=1), 5.0, atol=0.05)
+        assert any("of 2 sensors" in text and " 22" in text for text in recording.problems)
+    with open_recording(tmp_path / "two.osf", sensor="22") as recording:
+        points = recording.sweep(1).points - np.array([0, 0, 2])
+        np.testing.assert_allclose(np.linalg.norm(points, axis=1), 8.0, atol=0.05)
+        assert any("as its metadata say" in text for text in recording.problems)
+    with pytest.raises(UserError, match="no sensor is called 33"):
+        open_recording(tmp_path / "two.osf", sensor="33")

@@ -76,7 +76,8 @@ def test_the_unit_of_the_times_of_poses_is_found(tmp_path: Path, start: float, s
         assert recording.poses is not None and len(recording.sweep_times) == 20
         for k in range(0, 20, 5):
             assert recording.poses.interpolate(recording.sweep_times[k]).position[0] == pytest.approx(0.2 * k, abs=1e-3)
-        assert any(f"in {unit}seconds" in problem for problem in recording.problems) == bool(unit)
+        said = [problem for problem in recording.problems if problem.startswith("the times of poses.txt")]
+        assert any(f"in {unit}seconds" in problem for problem in said) == bool(unit)
         assert any("counted from the first" in problem for problem in recording.problems) == (origin != "stamps")
 
 
@@ -88,3 +89,84 @@ def test_stamps_of_poses_that_cover_a_part_of_the_sweeps_are_kept(tmp_path: Path
         assert recording.poses is not None
         assert any("no pose covers sweeps 0..12 of 20" in problem for problem in recording.problems)
         assert recording.poses.interpolate(0.2).position[0] + recording.poses.offset[0] == pytest.approx(3.0, abs=1e-3)
+
+
+STAMPS = [1_700_000_000.0 + 0.1 * k for k in range(-1, 5)]
+"""Times of poses: one before those of the clouds below."""
+
+
+def rows_of(form: str) -> list[str]:
+    """Return lines with positions of 2 m/s along x, turned by 90 deg about z, in a form of a published data set."""
+    half, lines = np.sqrt(0.5), []
+    for k, time in enumerate(STAMPS):
+        x, whole, rest = 0.2 * (k - 1), round(time * 1e9) // 10**9, round(time * 1e9) % 10**9
+        matrix = f"0 -1 0 {x} 1 0 0 0 0 0 1 0"
+        lines.append(
+            {
+                "nanoseconds and matrix": f"{whole * 10**9 + rest},{matrix.replace(' ', ',')}",
+                "seconds and 4 x 4 matrix": f"{time:.6f} {matrix} 0 0 0 1",
+                "seconds, nanoseconds": f"{whole},{rest},{x},0,0,0,0,{half},{half}",
+                "number, time": f"{k} {time:.6f} {x} 0 0 0 0 {half} {half}",
+                "secs and nsecs": f"{k},{whole},{rest},{x},0,0,{half},0,0,{half}",
+                "header.stamp.sec": f"{whole},{rest},map,{x},0,0,0,0,{half},{half}".replace("map", "0"),
+                "scientific": f"{whole * 10**9 + rest:.18e} {x} 0 0 0 0 {half} {half}",
+            }[form]
+        )
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("form", "header"),
+    [
+        ("nanoseconds and matrix", ""),
+        ("seconds and 4 x 4 matrix", ""),
+        ("seconds, nanoseconds", "#sec,nsec,x,y,z,qx,qy,qz,qw"),
+        ("seconds, nanoseconds", ""),
+        ("number, time", ""),
+        ("number, time", "# index timestamp x y z qx qy qz qw"),
+        ("secs and nsecs", "seq,header.stamp.secs,header.stamp.nsecs,p.x,p.y,p.z,q.w,q.x,q.y,q.z"),
+        ("header.stamp.sec", "header.stamp.sec,header.stamp.nanosec,frame,pose.position.x,pose.position.y,"
+         "pose.position.z,orientation.x,orientation.y,orientation.z,orientation.w"),
+        ("scientific", ""),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["poses.csv", "other.txt"])
+def test_poses_of_published_data_sets_play(tmp_path: Path, form: str, header: str, name: str):
+    for k in range(4):
+        np.save(tmp_path / f"{1_700_000_000 + 0.1 * k:.3f}.npy", bags.wall(50))
+    (tmp_path / name).write_text("\n".join([header, *rows_of(form)]) + "\n")
+    with open_recording(tmp_path, poses=None if name == "poses.csv" else tmp_path / name) as recording:
+        assert recording.poses is not None and len(recording.sweep_times) == 4
+        pose = recording.poses.interpolate(0.2)
+        np.testing.assert_allclose(pose.position + recording.poses.offset, [0.4, 0, 0], atol=1e-3)
+        np.testing.assert_allclose(pose.quaternion, np.sqrt(0.5) * np.array([1, 0, 0, 1]), atol=1e-6)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_part_of_the_clouds_plays_with_the_poses_of_all(tmp_path: Path, counted: bool):
+    for k in (4, 7, 9):
+        np.save(tmp_path / f"{k:06d}.npy", bags.wall(50))
+    rows = [f"{k} " * counted + f"1 0 0 {2.0 * k} 0 1 0 0 0 0 1 0" for k in range(20) if not counted or k > 2]
+    (tmp_path / "poses.txt").write_text("\n".join(rows))
+    with open_recording(tmp_path) as recording:
+        assert recording.poses is not None
+        np.testing.assert_allclose(recording.poses.positions[:, 0] + recording.poses.offset[0], [8, 14, 18])
+        assert any("with the numbers in the names" in text for text in recording.problems)
+
+
+def test_clouds_without_their_poses_play_with_others(tmp_path: Path):
+    for k in (4, 5, 77):
+        np.save(tmp_path / f"{k:06d}.npy", bags.wall(50))
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 40)
+    with pytest.raises(UserError, match=r"40 poses and .* 3 sweeps: .* --poses, or .* --odometry"):
+        open_recording(tmp_path)
+    (tmp_path / "three.txt").write_text("0 1 0 0 0 0 0 1\n0.1 2 0 0 0 0 0 1\n0.2 3 0 0 0 0 0 1\n")
+    with open_recording(tmp_path, poses=tmp_path / "three.txt") as recording:
+        assert recording.poses is not None and len(recording.sweep_times) == 3
+
+
+@pytest.mark.parametrize("line", ["1 2 3", "1 2 3 4 5 6", "1 " * 11, "1 " * 18])
+def test_lines_that_are_no_poses_are_refused(tmp_path: Path, line: str):
+    (tmp_path / "poses.txt").write_text(f"{line}\n")
+    with pytest.raises(UserError, match="every line must have 8 numbers"):
+        read_pose_file(tmp_path / "poses.txt")

@@ -120,7 +120,9 @@ def test_every_sweep_has_the_mounting_of_its_own_frame(mcap_of, is_joined):
         turned = bags.wall()[:, [1, 0, 2]] * [-1, 1, 1] + [0, 0, 2]
         right = turned if is_joined else np.add(bags.wall(), [0, 0, 1])
         np.testing.assert_allclose(recording.sweep(1).points, right, atol=1e-5)
-        assert any("5 of 10 sweeps on /points are in 'right'" in text for text in recording.problems) != is_joined
+        assert len(recording.sweep_times) == (10 if is_joined else 5)
+        said = any("of 2 sensors, left (" in text and "--sensor plays right (" in text for text in recording.problems)
+        assert said != is_joined
 
 
 def test_unknown_extrinsic_is_reported(mcap_of):

@@ -97,7 +97,7 @@ def test_invalid_arguments_are_refused(hall, options, expected):
 
 def test_a_map_without_free_space_is_refused(tmp_path):
     grid = np.stack(np.meshgrid(*[np.arange(0.0, 4.0, 0.2)] * 3), axis=-1).reshape(-1, 3)
-    with pytest.raises(UserError, match="give start and goal"):
+    with pytest.raises(UserError, match="give --start and --goal to demo or fly"):
         load_map(save(tmp_path / "solid.npy", grid), voxel=0.4)
 
 
