@@ -31,7 +31,7 @@ with `Parameters`, a `ParameterSection` of the stage's name, and a module `stage
 MODELS = {"ctbr": "aero_planner.models.ctbr:CTBR", "acceleration": "aero_planner.models.acceleration:ACCELERATION"}
 """Module and name of each `VehicleModel`."""
 
-_SHIPPED: dict[Kind, dict[str, Any]] = {"stages": dict(STAGES), "cost_terms": {}, "models": dict(MODELS)}
+_SHIPPED: dict[Kind, dict[str, Any]] = {"stages": STAGES, "cost_terms": {}, "models": MODELS}
 _added: dict[Kind, dict[str, Any]] = {"stages": {}, "cost_terms": {}, "models": {}}
 
 

@@ -1,10 +1,21 @@
-"""A sequence of plans that uses every stage, and what two planners must agree in."""
+"""A sequence of plans that uses every stage, and what a planner records, to compare one with another."""
 
 import hashlib
+from typing import Any
 
 import numpy as np
+import warp as wp
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, Sweeps, VehicleState
+from aero_planner.array_memory import allocate, as_dict
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, SweepTable, Workspace
+from aero_planner.composition import Composition
+from aero_planner.device.kernel_tuning import KernelTuning
+from aero_planner.device.params import Params
+from aero_planner.kernels.shells import COUNTERS
+from aero_planner.pipeline import Pipeline
+from aero_planner.recorder import PlannerArrays
+from aero_planner.warp_init import find_device
 from tests.planner.cases import PLAN_ARRAYS
 from tests.planner.pillars import sweeps_of
 
@@ -54,3 +65,32 @@ def config_with(names: tuple[str, ...]) -> PlannerConfig:
     """Return a small configuration with these stages."""
     small = {"sampling.samples": 16, "sampling.steps": 15, "anchors.columns": 3, "partition.fine_cells": 4}
     return PlannerConfig().replace(small | {"stages.active": ", ".join(names)})
+
+
+def recorded(config: PlannerConfig, tuning: KernelTuning, *, batch: int = 1) -> tuple[list[wp.Kernel], dict[str, Any]]:
+    """Return the kernel of each launch of a planner, and the shapes of its arrays. Nothing is compiled or launched."""
+    composition = Composition.of(config)
+    sizes = Sizes.from_config(config, composition, batch=batch, workers=1, tuning=tuning)
+    device = find_device("cpu")
+    of_stages = {
+        stage.name: tuple(kind and allocate(kind, sizes, device) for kind in (stage.arrays, stage.outputs))
+        for stage in composition.stages
+    }
+
+    class SweepSizes:
+        B, S, P, E = batch, 3, 100, int(COUNTERS)
+
+    table, cloud = (allocate(kind, SweepSizes, device) for kind in (SweepTable, CloudArrays))
+    inputs, outputs, work = (allocate(kind, sizes, device) for kind in (PlannerInputs, PlannerOutputs, Workspace))
+    params = wp.zeros(batch, dtype=Params, device=device)
+    arrays = PlannerArrays(inputs, outputs, work, of_stages, cloud, table.change, params)
+    kernels = [kernel for kernel, _ in Pipeline(config, composition, sizes, tuning, arrays, dry=True).kernels]
+    shapes = {name: array.shape for group in arrays.groups() for name, array in as_dict(group).items()}
+    return kernels, shapes
+
+
+def description(names: tuple[str, ...], tuning: KernelTuning) -> str:
+    """Return what a planner with these stages launches and allocates: module, name and code of each kernel, and shapes."""
+    kernels, shapes = recorded(config_with(names), tuning)
+    launches = [(kernel.func.__module__, kernel.key, kernel.adj.source) for kernel in kernels]
+    return hashlib.sha256(repr((launches, shapes)).encode()).hexdigest()

@@ -1,7 +1,9 @@
 """What holds for every stage: one that is not active is as if it did not exist, and one is easily added."""
 
 import ast
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,16 +14,13 @@ import warp as wp
 
 import aero_planner
 from aero_planner import Planner, PlannerConfig, registry
-from aero_planner.array_memory import allocate, array_specs
-from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, SweepTable, Workspace
+from aero_planner.array_memory import array_specs
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.composition import Composition
 from aero_planner.device.kernel_tuning import CPU, CUDA, KernelTuning
-from aero_planner.device.params import Params
-from aero_planner.kernels.shells import COUNTERS
-from aero_planner.pipeline import Pipeline
-from aero_planner.recorder import PlannerArrays
+from aero_planner.kernels.terms import write_terms
 from aero_planner.stage import Stage
-from tests.planner.stages.sequence import config_with, digest, sequence
+from tests.planner.stages.sequence import config_with, description, digest, recorded, sequence
 
 ROOT = Path(__file__).parents[3]
 NAMES = tuple(registry.STAGES)
@@ -49,72 +48,72 @@ import sys
 from aero_planner import registry
 device, missing = sys.argv[1], sys.argv[2].split()
 for name in missing:
-    del registry._SHIPPED["stages"][name]
-from aero_planner import Planner
-from tests.planner.stages.sequence import config_with, digest, sequence
-planner = Planner(config_with(registry.names("stages")), device=device, seed=3)
-assert not set(missing) & set(planner.config.sections())
-print(digest(sequence(planner)))
+    del registry.STAGES[name]
+from aero_planner import Planner, PlannerConfig
+assert not set(missing) & set(PlannerConfig.sections())
+from aero_planner.device.kernel_tuning import CPU, CUDA
+from tests.planner.stages.sequence import config_with, description, digest, sequence
+active = registry.names("stages")
+print(description(active, CPU), description(active, CUDA))
+if not active:
+    print(digest(sequence(Planner(config_with(active), device=device, seed=3))))
 """
-"""Plans of a planner for which stages do not exist."""
-
-
-@pytest.mark.parametrize("missing", [*NAMES, " ".join(NAMES)])
-def test_a_stage_that_is_not_active_leaves_every_plan_as_if_it_did_not_exist(device: str, missing: str):
-    active = tuple(name for name in NAMES if name not in missing.split())
-    planner = Planner(config_with(active), device=device, seed=3)
-    assert digest(sequence(planner)) == run(WITHOUT, device, missing)
-
-
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "memory"])
-def test_a_stage_that_is_active_changes_plans(device: str, name: str):
-    """The sequence above would show if a stage that is not active did anything."""
-    digests = [
-        digest(sequence(Planner(config_with(active), device=device, seed=3))) for active in (NAMES, others(name))
-    ]
-    assert digests[0] != digests[1]
+"""What a planner for which some stages do not exist records; its plans, if there are no stages at all."""
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_stage_that_is_not_active_has_no_arrays(device: str, name: str):
-    on, off = (Planner(config_with(active), device=device) for active in (NAMES, others(name)))
-    declared = [group for group in (STAGES[name].arrays, STAGES[name].outputs) if group is not None]
-    names = {array for group in declared for array in array_specs(group)}
-    assert set(on.arrays_of(name)) == names
-    with pytest.raises(ValueError, match=rf"stage '{name}' is not active; stages\.active lists \w+"):
-        off.arrays_of(name)
-    kept = {array for group in declared for array, spec in array_specs(group).items() if spec.kept == "plans"}
-    assert set(on.history().arrays) - set(off.history().arrays) == kept
+def test_a_stage_that_is_not_active_is_as_if_it_did_not_exist(name: str):
+    """The launches, their kernels and the arrays are the same, so that the plans are."""
+    expected = [description(others(name), tuning) for tuning in (CPU, CUDA)]
+    assert run(WITHOUT, "cpu", name).split() == expected
+    assert expected != [description(NAMES, tuning) for tuning in (CPU, CUDA)] or name == "memory"
 
 
-def recorded(config: PlannerConfig, tuning: KernelTuning, *, batch: int = 1) -> list[wp.Kernel]:
-    """Return the kernel of each launch that a planner records for a kind of device."""
-    composition = Composition.of(config)
-    sizes = Sizes.from_config(config, composition, batch=batch, workers=1, tuning=tuning)
-    device = wp.get_device("cpu")
-    stages = {
-        stage.name: tuple(None if kind is None else allocate(kind, sizes, device) for kind in (stage.arrays, stage.outputs))
-        for stage in composition.stages
-    }  # fmt: skip
-
-    class Sweeps:
-        B, S, P, E = batch, 3, 100, int(COUNTERS)
-
-    change = allocate(SweepTable, Sweeps, device).change
-    params = wp.zeros(batch, dtype=Params, device=device)
-    core = [allocate(kind, sizes, device) for kind in (PlannerInputs, PlannerOutputs, Workspace)]
-    arrays = PlannerArrays(*core, stages, allocate(CloudArrays, Sweeps, device), change, params)  # type: ignore[arg-type]
-    return [kernel for kernel, _ in Pipeline(config, composition, sizes, tuning, arrays, dry=True).kernels]
+def test_without_active_stages_plans_are_bit_for_bit_as_if_there_were_none(device: str):
+    planner = Planner(config_with(()), device=device, seed=3)
+    assert run(WITHOUT, device, " ".join(NAMES)).split()[-1] == digest(sequence(planner))
+    assert digest(sequence(Planner(config_with(NAMES), device=device, seed=3))) != digest(sequence(planner))
 
 
 @pytest.mark.parametrize("tuning", [CPU, CUDA], ids=["cpu", "cuda"])
 @pytest.mark.parametrize("name", NAMES)
-def test_a_stage_that_is_not_active_records_no_launch(name: str, tuning: KernelTuning):
-    on, off = (recorded(config_with(active), tuning) for active in (NAMES, others(name)))
+def test_a_stage_that_is_not_active_records_and_allocates_nothing(name: str, tuning: KernelTuning):
+    (on, shapes), (off, other_shapes) = (recorded(config_with(active), tuning) for active in (NAMES, others(name)))
     package = f"aero_planner.stages.{name}."
     own = [kernel for kernel in on if kernel.func.__module__.startswith(package)]
     assert len(off) == len(on) - len(own) and bool(own) == bool(STAGES[name].launches)
     assert not [kernel.key for kernel in off if kernel.func.__module__.startswith(package)]
+    declared = [group for group in (STAGES[name].arrays, STAGES[name].outputs) if group is not None]
+    assert set(shapes) - set(other_shapes) == {array for group in declared for array in array_specs(group)}
+
+
+def test_the_arrays_of_a_stage_can_be_read_while_it_is_active(device: str):
+    planner = Planner(config_with(NAMES), device=device)
+    assert set(planner.arrays_of("way_out")) == {
+        "places", "place_count", "place_goal", "place_nearest", "place_idle"
+    }  # fmt: skip
+    assert {"scan", "dynamic_count"} < set(planner.arrays_of("moving_obstacles"))
+    planner.configure(config_with(()))
+    with pytest.raises(ValueError, match=r"stage 'way_out' is not active; stages\.active lists none"):
+        planner.arrays_of("way_out")
+
+
+@pytest.mark.parametrize("tuning", [CPU, CUDA], ids=["cpu", "cuda"])
+@pytest.mark.parametrize("batch", [1, 8])
+@pytest.mark.parametrize("model", registry.names("models"))
+def test_no_kernel_takes_more_than_14_arguments(tuning: KernelTuning, batch: int, model: str):
+    kernels, _ = recorded(config_with(NAMES).replace({"vehicle.model": model}), tuning, batch=batch)
+    composition = Composition.of(config_with(NAMES))
+    counts = {kernel.key: len(kernel.adj.args) for kernel in [*kernels, write_terms(tuning, composition)]}
+    assert len(counts) > 25 and max(counts.values()) <= 14, counts
+
+
+def test_no_kernel_of_any_module_takes_more_than_14_arguments():
+    for module in pkgutil.walk_packages(aero_planner.__path__, "aero_planner."):
+        if module.name.split(".")[1] in ("kernels", "stages", "device", "costs", "models", "reference"):
+            content = vars(importlib.import_module(module.name)).values()
+            counts = {kernel.key: len(kernel.adj.args) for kernel in content if isinstance(kernel, wp.Kernel)}
+            assert max(counts.values(), default=0) <= 14, counts
 
 
 # What the core knows.
@@ -361,35 +360,31 @@ def test_parts_that_clash_are_refused():
 # The history.
 
 
-@pytest.mark.parametrize("name", [*NAMES, ""])
-def test_the_history_makes_the_next_plan_repeatable(device: str, name: str):
-    """With each stage alone, with all of them, and in another planner."""
-    config = config_with((name,) if name else NAMES)
-    planner = Planner(config, device=device, seed=3)
+@pytest.mark.parametrize("active", [NAMES, ()], ids=["all", "none"])
+def test_the_history_makes_the_next_plans_repeatable(device: str, active: tuple[str, ...]):
+    """In the same planner, and in another one. It holds all arrays that are declared as state."""
+    config = config_with(active)
+    planner, other = (Planner(config, device=device, seed=3) for _ in range(2))
     sequence(planner, ticks=3)
     history = planner.history()
+    groups = [Workspace, *(STAGES[name].arrays for name in active)]
+    specs = {array: spec for group in groups if group is not None for array, spec in array_specs(group).items()}
+    assert set(history.arrays) == {array for array, spec in specs.items() if spec.kept == "plans"}
     first = sequence(planner, ticks=3)
     planner.restore(history)
-    again = sequence(planner, ticks=3)
-    assert digest(first) == digest(again)
-    for kept, array in planner.history().arrays.items():
-        np.testing.assert_array_equal(history.arrays[kept].shape, array.shape)
-    other = Planner(config, device=device, seed=3)
+    assert digest(sequence(planner, ticks=3)) == digest(first)
     other.restore(history)
+    for name, array in other.history().arrays.items():
+        np.testing.assert_array_equal(array, history.arrays[name], err_msg=name)
     assert digest(sequence(other, ticks=3)) == digest(first)
-    fresh = Planner(config, device=device, seed=3)
-    assert digest(sequence(fresh, ticks=3)) != digest(first)
+    other.reset()
+    assert digest(sequence(other, ticks=3)) != digest(first)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if STAGES[name].arrays is not None])
-def test_a_history_with_other_stages_resets_the_planner(device: str, name: str):
-    kept = {array for array, spec in array_specs(STAGES[name].arrays).items() if spec.kept == "plans"}  # type: ignore[arg-type]
-    if not kept:
-        pytest.skip(f"{name} keeps nothing from plan to plan")
-    donor, planner, fresh = (
-        Planner(config_with(active), device=device, seed=3) for active in (NAMES, others(name), others(name))
-    )
-    sequence(donor, ticks=3)
-    sequence(planner, ticks=3)
+def test_a_history_with_other_stages_resets_the_planner(device: str):
+    donor = Planner(config_with(NAMES), device=device, seed=3)
+    planner, fresh = (Planner(config_with(()), device=device, seed=3) for _ in range(2))
+    sequence(donor, ticks=2)
+    sequence(planner, ticks=2)
     planner.restore(donor.history())
     assert digest(sequence(planner, ticks=2)) == digest(sequence(fresh, ticks=2))
