@@ -9,7 +9,6 @@ from hypothesis import settings as hypothesis_settings
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
-from aero_planner.parameters import ParameterInfo
 from aero_planner.onboard.settings import (
     OnboardConfig,
     check_together,
@@ -18,6 +17,7 @@ from aero_planner.onboard.settings import (
     load_flight_config,
     load_onboard,
 )
+from aero_planner.parameters import ParameterInfo
 from tests.planner.config_cases import configs, write
 
 NUMBERS = [info for info in OnboardConfig.parameters() if not info.pattern and not isinstance(info.default, bool)]
