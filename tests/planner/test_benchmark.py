@@ -34,7 +34,7 @@ def test_text_report(device: str, capsys: pytest.CaptureFixture[str]):
         "plans per second",
         "points kept",
         "MiB",
-        "17 instances",
+        "16 instances",
     ):
         assert word in text
 

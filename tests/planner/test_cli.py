@@ -98,6 +98,9 @@ def test_settings_may_come_from_a_separate_file(call: Callable[..., Outcome], tm
     assert call("config", "validate", "px4")[:2] == (0, "px4 is valid\n")
 
 
+OTHER_MODEL = "vehicle.model is acceleration; the node commands thrust and body rates, so it must be ctbr."
+
+
 @pytest.mark.parametrize(
     ("arguments", "problem"),
     [
@@ -107,6 +110,10 @@ def test_settings_may_come_from_a_separate_file(call: Callable[..., Outcome], tm
         (["preflight", "--config", "{bad}"], "bad.yaml, line 3"),
         (["preflight", "--listen", "0"], "--listen is 0; it must be in [0.1, 600] s."),
         (["config", "validate", "{absent}"], "absent.yaml can't be read: No such file"),
+        (["run", "--config", "{other}"], OTHER_MODEL),
+        (["preflight", "--config", "{other}"], OTHER_MODEL),
+        (["config", "validate", "{other}"], f"other.yaml, line 2: {OTHER_MODEL}"),
+        (["export", "{absent}", "--cpu", "--config", "{other}"], OTHER_MODEL),
         (["config", "validate", "{unfit}"], "it must be less than the planner's horizon"),
         (["run", "--onboard", "{absent}"], "absent.yaml can't be read"),
         (["run", "--config", "{flight}", "--device", "cuda:9"], "device 'cuda:9' is not available"),
@@ -121,9 +128,10 @@ def test_mistakes_are_one_line_and_exit_code_2(
     call: Callable[..., Outcome], tmp_path: Path, flight_file: Path, arguments: list[str], problem: str
 ):
     (tmp_path / "bad.yaml").write_text("onboard:\n  limits:\n    plan_age: 9\n")
+    (tmp_path / "other.yaml").write_text("vehicle:\n  model: acceleration\n")
     (tmp_path / "unfit.yaml").write_text("sampling:\n  steps: 4\n")
     (tmp_path / "serial.yaml").write_text("onboard:\n  mavlink:\n    url: /dev/absent\n")
-    names = {name: tmp_path / f"{name}.yaml" for name in ("bad", "absent", "unfit", "serial", "taken")}
+    names = {name: tmp_path / f"{name}.yaml" for name in ("bad", "absent", "other", "unfit", "serial", "taken")}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         own = f"    port: {taken.getsockname()[1]}\n"

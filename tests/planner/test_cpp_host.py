@@ -12,7 +12,7 @@ import pytest
 import warp as wp
 from numpy.typing import ArrayLike
 
-from aero_planner import Goal, Planner, PlannerConfig, PlanStatus, VehicleState
+from aero_planner import Goal, Planner, PlanStatus, VehicleState
 from aero_planner.deploy.export import makes_graphs, parse_architecture
 from aero_planner.onboard.bundle_export import export_bundle
 from aero_planner.onboard.settings import load_flight_config
@@ -74,7 +74,7 @@ def ask(example: Path, tmp_path: Path, device: str) -> Callable[..., Outcome]:
     return run
 
 
-def request(
+def record(
     state: VehicleState, goal: Sequence[float], points: np.ndarray, age: float = 0.0, ground: float = -np.inf
 ) -> bytes:
     acceleration = np.full(3, np.nan) if state.acceleration is None else state.acceleration
@@ -92,7 +92,23 @@ def state_of(position: ArrayLike, velocity: ArrayLike, time: float = 0.0) -> Veh
 FALLING = dataclasses.replace(state_of((0, 0, 2), (1, 0, 0)), acceleration=(0.0, 0.0, -np.inf))
 
 
-def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, device: str):
+@pytest.fixture(scope="module")
+def bundle_without_stages(tmp_path_factory: pytest.TempPathFactory, bundle_config: Path, processor: str) -> Path:
+    """A bundle of the paper with few samples, and with one stage that is not carried from plan to plan."""
+    folder = tmp_path_factory.mktemp("paper")
+    text = bundle_config.read_text() + "preset: paper\nsampling:\n  samples: 16\nstages:\n  active: memory\n"
+    (folder / "paper.yaml").write_text(text)
+    architectures = [] if processor == "cpu" else [parse_architecture(processor)]
+    path = folder / "bundle"
+    export_bundle(path, config=folder / "paper.yaml", architectures=architectures, cpu=processor == "cpu")
+    return path
+
+
+@pytest.mark.parametrize("of", ["bundle", "bundle_without_stages"])
+def test_its_plans_equal_those_of_python(
+    ask: Callable[..., Outcome], request: pytest.FixtureRequest, of: str, tmp_path: Path, device: str
+):
+    bundle: Path = request.getfixturevalue(of)
     random = np.random.default_rng(4)
     config, _ = load_flight_config(bundle / "config.yaml")
     # A graph avoids the ground even if the configuration does not.
@@ -110,7 +126,7 @@ def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Pa
         ground = -np.inf if tick % 2 else float(random.normal(-1.0, 0.3))
         plan = planner.plan(state, Goal(goal), points, cloud_age=age, ground_height=ground)
         seen.add(plan.status)
-        requests += request(state, goal, points, age, ground)
+        requests += record(state, goal, points, age, ground)
         outputs = planner.outputs
         arrays = (planner.command, outputs.controls, outputs.positions, outputs.stage2_cost)
         expected.append((int(plan.status), plan.best, [array.numpy()[0].copy() for array in arrays]))
@@ -119,7 +135,7 @@ def test_its_plans_equal_those_of_python(ask: Callable[..., Outcome], bundle: Pa
 
     done = ask(bundle, requests)
     assert done.returncode == 0, done.stderr
-    instances, steps = len(PlannerConfig().kinds), PlannerConfig().sampling.steps
+    instances, steps = len(config.kinds), config.sampling.steps
     assert done.stdout.startswith(f"{instances} instances, {steps} steps, up to {POINTS} points, loaded in ")
     answers, at = (tmp_path / "answers").read_bytes(), 0
     for status, best, arrays in expected:
@@ -146,12 +162,23 @@ def cut(graph: Path) -> None:
     path.write_bytes(path.read_bytes()[:5000])
 
 
+def lose_state(graph: Path) -> None:
+    (graph / "state.txt").unlink()
+
+
+def edit_state(line: str) -> Callable[[Path], None]:
+    def act(graph: Path) -> None:
+        (graph / "state.txt").write_text((graph / "state.txt").read_text() + line)
+
+    return act
+
+
 def lose_kernels(graph: Path) -> None:
     for path in graph.glob("planner_modules/*"):
         path.unlink()
 
 
-REQUEST = request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
+REQUEST = record(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
 
 
 @pytest.mark.parametrize(
@@ -163,6 +190,9 @@ REQUEST = request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)))
         (edit_target(1, "many"), "the graph is not that of a planner for one drone"),
         (lambda graph: (graph / "planner.wrp").unlink(), "planner.wrp can't be loaded"),
         (cut, "planner.wrp can't be loaded"),
+        (lose_state, "state.txt can't be read; export the bundle again"),
+        (edit_state("drag float16 0.0\n"), "state.txt names the type 'float16'"),
+        (edit_state("absent float32 0.0\n"), "the graph is not that of a planner for one drone"),
         (lose_kernels, "copy the whole bundle"),
     ],
 )
@@ -205,15 +235,15 @@ def test_an_unknown_or_absent_device_is_reported(example: Path, tmp_path: Path, 
 @pytest.mark.parametrize(
     ("requests", "problem"),
     [
-        (request(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position or"),
-        (request(FALLING, (20, 0, 2), np.zeros((0, 3))), "the state's acceleration is not finite"),
-        (request(state_of((0, 0, 2), (2e6, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "not finite or beyond 1e6"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
-        (request(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the age of the cloud"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), 0.0, np.nan), "the ground height"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "but the graph takes 0 to"),
-        (request(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
+        (record(state_of((0, np.nan, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "the state's position or"),
+        (record(FALLING, (20, 0, 2), np.zeros((0, 3))), "the state's acceleration is not finite"),
+        (record(state_of((0, 0, 2), (2e6, 0, 0)), (20, 0, 2), np.zeros((0, 3))), "not finite or beyond 1e6"),
+        (record(state_of((0, 0, 2), (1, 0, 0)), (np.inf, 0, 2), np.zeros((0, 3))), "the goal's position"),
+        (record(state_of((0, 0, 2), (1, 0, 0), np.inf), (20, 0, 2), np.zeros((0, 3))), "the state's time is infinite"),
+        (record(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), np.nan), "the age of the cloud"),
+        (record(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((0, 3)), 0.0, np.nan), "the ground height"),
+        (record(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((POINTS + 1, 3))), "but the graph takes 0 to"),
+        (record(state_of((0, 0, 2), (1, 0, 0)), (20, 0, 2), np.zeros((5, 3)))[:-4], "ends within a record"),
         (b"", "holds no request"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",  # test names made of bytes would be too long

@@ -321,18 +321,18 @@ class OnboardConfig(SectionedConfig):
 
 def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
     """Raise `ContradictionError`, a ValueError, if the configurations of planner and node contradict each other."""
-    if onboard.limits.plan_age >= planner.horizon:
-        raise ContradictionError(
-            f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
-            f"sampling.steps x sampling.dt = {planner.horizon:g} s.",
-            "limits.plan_age", "sampling.steps", "sampling.dt",
-        )  # fmt: skip
     vehicle = planner.vehicle
     if vehicle.model != "ctbr":
         raise ContradictionError(
             f"vehicle.model is {vehicle.model}; the node commands thrust and body rates, so it must be ctbr.",
             "vehicle.model",
         )
+    if onboard.limits.plan_age >= planner.horizon:
+        raise ContradictionError(
+            f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
+            f"sampling.steps x sampling.dt = {planner.horizon:g} s.",
+            "limits.plan_age", "sampling.steps", "sampling.dt",
+        )  # fmt: skip
     if vehicle.thrust_max <= vehicle.mass * vehicle.gravity:
         raise ContradictionError(
             f"vehicle.thrust_max is {vehicle.thrust_max} N; it must exceed the weight of "

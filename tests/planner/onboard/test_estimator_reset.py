@@ -87,8 +87,8 @@ def test_a_drone_that_holds_does_not_follow_a_reset(small_planner: Planner):
 def test_a_reset_discards_the_history_of_the_planner(small_planner: Planner):
     simulation = in_flight(small_planner)
     simulation.planning_alive = False
-    assert np.isfinite(small_planner.history().time).all()
+    assert np.isfinite(small_planner.history().arrays["previous_time"]).all()
     shift(simulation)
     simulation.run(0.02)
     simulation.node.plan_once()
-    assert np.isnan(small_planner.history().time).all()
+    assert np.isnan(small_planner.history().arrays["previous_time"]).all()

@@ -12,6 +12,11 @@ from tests.planner.config_cases import write
     ("text", "line", "problem"),
     [
         ("vehicle:\n  mass: 3\n", 2, "vehicle.thrust_max is 16.35 N; it must exceed the weight of 29.43 N"),
+        (
+            "vehicle:\n  mass: 1\n  model: acceleration\n",
+            3,
+            "vehicle.model is acceleration; the node commands thrust and body rates, so it must be ctbr.",
+        ),
         ("onboard:\n  limits:\n    hold_time: 1\n    fence_height_max: 0.5\n", 4, "limits.fence_height_min is 1.0"),
         (
             "onboard:\n  rates:\n    control: 10\n",

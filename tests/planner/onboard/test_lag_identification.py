@@ -17,14 +17,16 @@ def test_the_lags_of_the_simulated_vehicle_are_found(lag: float):
     vehicle = Vehicle(
         VehicleModel(rate_lag=lag, thrust_lag=2.0 * lag), [[0.0, 0.0, 10.0]], [0.0], period=0.01, device="cpu"
     )
-    finished, commands, controls = wp.zeros(1, dtype=int, device="cpu"), [], []
+    commands: list[np.ndarray] = []
+    controls: list[np.ndarray] = []
+    active = wp.ones(1, dtype=int, device="cpu")
     command = np.array([9.81, 0.0, 0.0, 0.0])
     for k in range(400):
         if k % 20 == 0:
             command = np.array([9.81, 0.0, 0.0, 0.0]) + rng.normal(size=4)
         controls.append(np.array(vehicle.control.numpy())[0])
         commands.append(command)
-        vehicle.fly(wp.array([[command]], dtype=wp.vec4, device="cpu"), finished=finished)
+        vehicle.fly(wp.array([[command]], dtype=wp.vec4, device="cpu"), active=active)
     times = 5.0 + 0.01 * np.arange(400)
     measured = np.array(controls) * 1.1 + 0.05 + rng.normal(size=(400, 4)) * 0.05
     assert identify_lag(times, np.array(commands)[:, 1], measured[:, 1]) == pytest.approx(lag, rel=0.1, abs=0.005)

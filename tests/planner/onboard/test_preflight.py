@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aero_planner import Planner
+from aero_planner import Planner, PlannerConfig
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.onboard.connections import open_lidar
 from aero_planner.onboard.input_checks import check_inputs
@@ -178,7 +178,14 @@ def test_the_complete_report(tmp_path: Path):
     assert table.count("FAIL") == 2 and "-> Check the cable" in table and table.endswith("see above.")
 
 
-def test_failures_before_the_inputs_are_checked(tmp_path: Path):
+@pytest.mark.parametrize(
+    ("planner", "contradiction"),
+    [
+        (FAST, "the planner's horizon"),
+        (FAST.replace({"vehicle.model": "acceleration"}), "vehicle.model is acceleration; the node commands thrust"),
+    ],
+)
+def test_failures_before_the_inputs_are_checked(tmp_path: Path, planner: PlannerConfig, contradiction: str):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken, socket.create_server(("127.0.0.1", 0)) as viewer:
         taken.bind(("127.0.0.1", 0))
         port = taken.getsockname()[1]
@@ -193,11 +200,11 @@ def test_failures_before_the_inputs_are_checked(tmp_path: Path):
                 "limits.plan_age": 0.5,
             }
         )
-        report = preflight(FAST, config, device="cuda:7", log=tmp_path / "absent" / "a.mcap", listen=0.1)
+        report = preflight(planner, config, device="cuda:7", log=tmp_path / "absent" / "a.mcap", listen=0.1)
     found = {check.name: check for check in report.checks}
     for name in ("configuration", "device cuda:7", "hover thrust", "autopilot port", "LiDAR port", "disk for the log"):
         assert not found[name].ok and found[name].required, name
-    assert "the planner's horizon" in found["configuration"].finding
+    assert contradiction in found["configuration"].finding
     assert "vehicle.thrust_max" in found["hover thrust"].advice
     assert "lidar.port" in found["LiDAR port"].finding and "in use" in found["LiDAR port"].finding
     assert not found["telemetry port"].ok and not found["telemetry port"].required
