@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
-    "folders of PCD, PLY, LAS, LAZ, NPY and KITTI .bin clouds, Livox .lvx2, Ouster .osf, and .pcap of a Livox "
-    "Mid-360, a Velodyne or an Ouster"
+    "folders of PCD, PLY, LAS, LAZ, NPY, KITTI .bin and text clouds, Livox .lvx2, Ouster .osf, and .pcap of a "
+    "Livox Mid-360, a Velodyne or an Ouster"
 )
 
 _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {

@@ -60,7 +60,7 @@ from tests.planner.interruption import interrupted_at_import
         (["compare", "a.mcap", "b.mcap", "--page", "--folder", "."], "--folder has no effect here; the page of a"),
         (["connect", "127.0.0.1", "--folder", "."], "--folder has no effect here; the page of a drone opens no files"),
         (["tune", "wall", "--over", "costs.q_track", "--paused"], "--paused has no effect here; it is for the page"),
-        (["fly", "forest", "--no-headless", "--json"], "leave out --no-headless"),
+        (["fly", "forest", "--no-headless", "--trajectory", "t.csv"], "leave out --no-headless"),
         (["fly", "wall", "--log", "a", "--trajectory", "a"], "a cannot hold two outputs"),
         (["share", "wall", "a.html", "--duration", "0"], "The duration is 0 s; it must be positive"),
         (["share", "wall", "a.html", "--duration", "nan"], "The duration is nan s; it must be positive"),
