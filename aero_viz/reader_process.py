@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from aero_planner.import_path import child_environment, module_command
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
@@ -171,16 +172,14 @@ class ReaderProcess:
                         pipe.close()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        # The process has to find the same modules, also those of a script's folder.
-        path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         with self._lock:
             if self._verdict is not None:
                 raise self._verdict
             if self._process is None:
                 # A kept process stays in the group of this one: it ends with it, also if that is itself a reader.
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL, env={**os.environ, **_SINGLE_THREAD, "PYTHONPATH": path},
+                    module_command(__name__), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL, env=child_environment(**_SINGLE_THREAD),
                     start_new_session=not self._is_kept,
                 )  # fmt: skip
             return self._process
