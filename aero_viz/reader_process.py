@@ -14,12 +14,13 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from aero_planner.import_path import child_environment, module_command
+from aero_planner.user_file import restrict_user_files, user_folders
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
@@ -82,11 +83,15 @@ class ReaderProcess:
         limits: what a call may use; on Windows, only the time is limited.
         is_kept: True keeps the process for further calls, until `close`, and forbids functions that start processes.
             Otherwise every call starts one.
+        folders: the only folders in which the process opens files that a user names; None leaves it to what holds here.
     """
 
-    def __init__(self, limits: Limits = Limits(), *, is_kept: bool = False) -> None:
+    def __init__(
+        self, limits: Limits = Limits(), *, is_kept: bool = False, folders: Iterable[str | Path] | None = None
+    ) -> None:
         self._limits = limits
         self._is_kept = is_kept
+        self._folders = folders if folders is None else tuple(map(str, folders))
         self._process: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
         self._first_bytes = 0
@@ -117,7 +122,8 @@ class ReaderProcess:
         timer.start()
         answer = None
         try:
-            answer = self._exchange(process, pickle.dumps((limits, function, arguments, options)))
+            folders = user_folders() if self._folders is None else self._folders
+            answer = self._exchange(process, pickle.dumps((limits, folders, function, arguments, options)))
         finally:
             timer.cancel()
             if answer is None or not self._is_kept:
@@ -274,10 +280,11 @@ def _serve() -> None:
     _lower_priority()
     while True:
         try:
-            limits, *request = pickle.load(sys.stdin.buffer)
+            limits, folders, *request = pickle.load(sys.stdin.buffer)
         except EOFError:
             os._exit(0)  # the threads of a library must not hold up the end
         _limit_resources(limits)
+        restrict_user_files(folders)
         answers.write(_bytes_read(os.getpid()).to_bytes(_COUNT_BYTES, "little"))
         answers.flush()
         answers.write(_answer((request[0], request[1], request[2])))

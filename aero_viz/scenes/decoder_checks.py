@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from aero_planner.user_file import open_user_file
 from aero_viz.input_limits import MAP_POINTS_MAX
 
 _HEADER_MAX = 65_536  # [bytes] that are searched for the end of a header
@@ -20,7 +21,7 @@ def check_count(declared: int, present: int, noun: str = "points") -> None:
 
 def read_header(path: Path, pattern: bytes, problem: str) -> tuple[bytes, int]:
     """Return the header of a file and the number of bytes after it; raises ValueError(problem) if there is none."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         found = re.match(pattern, file.read(_HEADER_MAX))
     if found is None:
         raise ValueError(problem)

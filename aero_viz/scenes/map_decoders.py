@@ -6,6 +6,7 @@ a header, so counts are compared with the size of the file before anything is al
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file
 from aero_viz.input_limits import MAP_POINTS_MAX
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
@@ -67,7 +69,7 @@ def decode_points(path: Path, suffix: str | None = None) -> tuple[Points, Times 
 
 
 def _read_npy(path: Path) -> tuple[Points, Times | None]:
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         version = np.lib.format.read_magic(file)
         length = int.from_bytes(file.read(2 if version == (1, 0) else 4), "little")
         if version not in ((1, 0), (2, 0), (3, 0)) or length > min(path.stat().st_size, _NPY_HEADER_MAX):
@@ -108,12 +110,13 @@ def _named_columns(table: NDArray[Any]) -> tuple[Points, Times | None]:
 def _read_text(path: Path) -> tuple[Points, None]:
     declared, skipped, rows = None, 0, path.stat().st_size // len("0 0 0\n") + 1
     if path.suffix.lower() == ".pts":
-        with path.open("rb") as file:
+        with open_user_file(path) as file:
             declared, skipped = int(file.readline(32)), 1
-    points = np.loadtxt(
-        path, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"), encoding="utf-8",
-        max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
-    )  # fmt: skip
+    with io.TextIOWrapper(open_user_file(path), encoding="utf-8") as lines:
+        points = np.loadtxt(
+            lines, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"),
+            max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
+        )  # fmt: skip
     check_count(len(points) if declared is None else declared, len(points))
     _check_last_line(path)
     return points, None
@@ -121,7 +124,7 @@ def _read_text(path: Path) -> tuple[Points, None]:
 
 def _check_last_line(path: Path) -> None:
     """Refuse a table of numbers whose last row has fewer columns than the one before."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         file.seek(max(file.seek(0, 2) - 4096, 0))
         rows = [line.split() for line in file.read().splitlines()[1:] if line.strip()]
     if len(rows) > 1 and len(rows[-1]) < len(rows[-2]):

@@ -6,11 +6,11 @@ import hashlib
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.tune.objectives import Objective
+from aero_viz.evaluation.tune.storage import check_file, first_line, sqlite_file
 from aero_viz.flight import FlightResult
 
 if TYPE_CHECKING:
@@ -60,9 +60,12 @@ def open_study(
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
+    path = None if storage is None else sqlite_file(storage)
+    if path is not None and path.is_file() and path.stat().st_size:
+        check_file(path)
     try:
-        if storage is not None and storage.startswith("sqlite:///"):
-            Path(storage.removeprefix("sqlite:///")).absolute().parent.mkdir(parents=True, exist_ok=True)
+        if path is not None:
+            path.absolute().parent.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
             storage=storage,
             sampler=made_sampler,
@@ -105,11 +108,6 @@ def require_optuna() -> Any:
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     return optuna
-
-
-def first_line(error: Exception) -> str:
-    """Return the first line of an error's message, or its type if it has none."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 def make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:

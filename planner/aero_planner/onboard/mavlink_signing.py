@@ -10,8 +10,11 @@ import hmac
 import time
 from pathlib import Path
 
+from aero_planner.user_file import read_user_text
+
 _EPOCH = 1_420_070_400  # 2015-01-01 [s]
 _TICKS = 100_000  # per second
+_KEY_FILE_MAX = 4096  # [bytes]
 _MAX_DELAY = 60 * _TICKS  # by which the first time stamp of a stream may be late
 
 
@@ -27,7 +30,7 @@ def load_key(path: str | Path) -> bytes:
         ValueError: The file can't be read, or is empty; says what to do.
     """
     try:
-        text = Path(path).expanduser().read_text(encoding="utf-8").strip()
+        text = read_user_text(Path(path).expanduser(), limit=_KEY_FILE_MAX).strip()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a text file"
         raise ValueError(f"can't read the signing key {path} (mavlink.signing_key_file): {reason}.") from error
