@@ -154,13 +154,14 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], 
         view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": FIELD_OF_VIEW}
         view |= {"transport_format": "png", "timeout": 60.0}
         previous = None
-        for _ in range(20):  # the page builds its nodes over several frames
-            preview = client.get_render(size[1] // 4, size[0] // 4, **view)
-            if previous is not None and np.array_equal(preview, previous):
-                break
-            previous = preview
-            page.wait_for_timeout(100)
-        picture = client.get_render(size[1], size[0], **view)
+        with dashboard.server.rendering(client):
+            for _ in range(20):  # the page builds its nodes over several frames
+                preview = client.get_render(size[1] // 4, size[0] // 4, **view)
+                if previous is not None and np.array_equal(preview, previous):
+                    break
+                previous = preview
+                page.wait_for_timeout(100)
+            picture = client.get_render(size[1], size[0], **view)
         # The picture is transparent where nothing was drawn.
         cover = picture[..., 3:].astype(np.float32) / 255.0
         picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
