@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from aero_planner.import_path import child_environment, module_command
+from aero_planner.plain_text import in_own_words
 from aero_planner.user_file import restrict_user_files, user_folders
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
@@ -256,7 +257,7 @@ def _answer(request: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]])
     except MemoryError:
         return pickle.dumps(("memory", None))
     except Exception as error:
-        return pickle.dumps(("error", f"{type(error).__name__}: {error}"))
+        return pickle.dumps(("error", in_own_words(error)))
 
 
 def _lower_priority() -> None:

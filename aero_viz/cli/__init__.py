@@ -7,6 +7,7 @@ import os
 import sys
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output, quick_imports
+from aero_planner.plain_text import in_own_words, log_plainly, one_line, say
 from aero_planner.termination import install_handler
 from aero_viz.errors import UserError
 
@@ -27,6 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
     if sys.stdout is None:  # closed by the shell, as with >&-
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
     install_handler()
+    log_plainly()
     try:
         with quick_imports() if arguments is None else contextlib.nullcontext():
             from aero_viz.cli.commands import COMMANDS
@@ -43,7 +45,8 @@ def main(arguments: list[str] | None = None) -> None:
     except (UserError, ValueError) as error:
         if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):
             raise
-        print(f"aero-viz: {' '.join(str(error).split())}", file=sys.stderr)
+        text = str(error) if isinstance(error, UserError) else in_own_words(error)
+        say(f"aero-viz: {one_line(text)}", file=sys.stderr)
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(abandon_output()) from None
@@ -51,7 +54,7 @@ def main(arguments: list[str] | None = None) -> None:
         if os.environ.get("AERO_VIZ_DEBUG"):
             raise
         where = f"{error.filename}: " if error.filename else "the output cannot be written or read: "
-        print(f"aero-viz: {where}{error.strerror or error}.", file=sys.stderr)
+        say(f"aero-viz: {one_line(f'{where}{error.strerror or error}')}.", file=sys.stderr)
         with contextlib.suppress(OSError, ValueError):  # stdout without a file, as in a test
             abandon_output()
         raise SystemExit(2) from None

@@ -10,6 +10,7 @@ from types import NoneType
 from typing import TYPE_CHECKING, Any, get_args, get_origin
 
 from aero_planner.config.parameter import did_you_mean
+from aero_planner.plain_text import say
 from aero_viz.errors import UserError
 from aero_viz.seed_range import check_seed
 
@@ -60,7 +61,7 @@ def parse(
             return call
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help"):
-        print(_format_help(commands, prog=prog, description=description))
+        say(_format_help(commands, prog=prog, description=description))
         raise SystemExit(0)
     if first.startswith("--tyro-"):  # shell completion
         return _parse_with_all(commands, arguments, prog=prog)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
+from aero_planner.output_files import whole_file
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard, palette
 from aero_viz.dashboard.panels import markup
@@ -209,6 +210,7 @@ def _write(image: NDArray[np.uint8], path: Path) -> None:
     # Encoded in memory: on a full disk, imageio would fail a second time when it closes the file.
     content = iio.imwrite("<bytes>", image, extension=".png")
     try:
-        path.write_bytes(content)
+        with whole_file(path, alone=True) as partial:
+            partial.write_bytes(content)
     except OSError as error:
         raise UserError(f"The picture {path} cannot be written: {error.strerror or error}.") from error

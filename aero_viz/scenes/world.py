@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config.parameter import did_you_mean
+from aero_planner.output_files import whole_file
 from aero_planner.user_file import parse_json, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
@@ -162,7 +163,8 @@ class World:
             UserError: the file cannot be written.
         """
         try:
-            Path(path).write_text(self.to_json(), encoding="utf-8")
+            with whole_file(Path(path), alone=True) as partial:
+                partial.write_text(self.to_json(), encoding="utf-8")
         except OSError as error:
             raise UserError(f"Cannot write the world {path}: {error.strerror or error}.") from error
 
