@@ -22,6 +22,7 @@ from typing import Any, Protocol, TypeVar
 from aero_planner.import_path import child_environment, module_command
 from aero_planner.plain_text import in_own_words
 from aero_planner.user_file import restrict_user_files, user_folders
+from aero_viz.answers import decode, encode
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
@@ -78,7 +79,7 @@ class Limits:
 class ReaderProcess:
     """A `Reader` whose calls run in a separate process, with a lower priority than this one.
 
-    The function, its arguments and its result are pickled.
+    The function and its arguments are pickled; the result consists of values, see `aero_viz.answers`.
 
     Args:
         limits: what a call may use; on Windows, only the time is limited.
@@ -124,7 +125,7 @@ class ReaderProcess:
         answer = None
         try:
             folders = user_folders() if self._folders is None else self._folders
-            answer = self._exchange(process, pickle.dumps((limits, folders, function, arguments, options)))
+            answer = self._exchange(process, pickle.dumps((limits, folders, function, arguments, options)), limits)
         finally:
             timer.cancel()
             if answer is None or not self._is_kept:
@@ -191,16 +192,19 @@ class ReaderProcess:
                 )  # fmt: skip
             return self._process
 
-    def _exchange(self, process: subprocess.Popen[bytes], request: bytes) -> tuple[str, Any] | None:
+    def _exchange(self, process: subprocess.Popen[bytes], request: bytes, limits: Limits) -> tuple[str, Any] | None:
         """Return the answer, None if the process ended without one."""
         assert process.stdin is not None and process.stdout is not None
         try:
             process.stdin.write(request)
             process.stdin.flush()
             self._first_bytes = int.from_bytes(process.stdout.read(_COUNT_BYTES), "little")
-            return pickle.load(process.stdout)
-        except (BrokenPipeError, EOFError, pickle.UnpicklingError):
+            kind, content = decode(process.stdout, limits.memory)
+            return str(kind), content
+        except (BrokenPipeError, EOFError):
             pass
+        except (pickle.UnpicklingError, TypeError, ValueError):  # the file has taken over the process
+            self._end(UserError("The process that read it gave no proper answer; the file is probably hostile."))
         process.wait()
         return None
 
@@ -248,16 +252,16 @@ def _limit_resources(limits: Limits) -> None:
 
 
 def _answer(request: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]) -> bytes:
-    """Call a function, and return its pickled result or error."""
+    """Call a function, and return its encoded result or error."""
     function, arguments, options = request
     try:
-        return pickle.dumps(("result", function(*arguments, **options)), protocol=pickle.HIGHEST_PROTOCOL)
+        return encode(("result", function(*arguments, **options)))
     except UserError as error:
-        return pickle.dumps(("error", str(error)))
+        return encode(("error", str(error)))
     except MemoryError:
-        return pickle.dumps(("memory", None))
+        return encode(("memory", None))
     except Exception as error:
-        return pickle.dumps(("error", in_own_words(error)))
+        return encode(("error", in_own_words(error)))
 
 
 def _lower_priority() -> None:

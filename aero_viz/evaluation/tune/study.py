@@ -120,12 +120,14 @@ def make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> op
         count: number of objectives.
 
     Raises:
-        UserError: the sampler has one objective only.
+        UserError: the sampler has one objective only, or needs larger generations.
     """
     from optuna import samplers
 
     if name == "auto":
         name = "tpe" if count == 1 else "nsga2"
+    if name == "nsga2" and generation < 2:
+        raise UserError(f"--generation is {generation}, and the sampler {name} proposes at least 2 candidates at once.")
     if name == "cmaes" and count > 1:
         raise UserError("CMA-ES has one objective only; give one --objective, or choose another --sampler.")
     if name == "tpe":
