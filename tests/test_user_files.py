@@ -26,6 +26,7 @@ OWN = {
     "aero_planner/onboard/failsafe_process.py": {"open"},  # standard input
     "aero_planner/onboard/preflight.py": {"Path('/proc/sys/net/core/rmem_max').read_text"},
     "aero_planner/onboard/transport.py": {"os.open"},  # a serial line
+    "aero_planner/output_files.py": {"os.open"},  # to write
     "aero_planner/user_file.py": {"os.open"},
     "aero_viz/browser.py": {"open"},  # the start of an installed browser
     "aero_viz/cli/page.py": {"study.open"},  # no file

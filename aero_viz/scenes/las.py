@@ -16,7 +16,7 @@ from aero_viz.scenes.decoder_checks import check_count
 from aero_viz.scenes.epsg_units import FOOT, US_FOOT, unit_of_heights, unit_of_system
 
 _CHUNK = 1_000_000  # points decoded at once
-_HEADER_MAX = 375  # [bytes]
+_HEADER_MIN, _HEADER_MAX = 227, 375  # [bytes]
 _LENGTHS = {9001: 1.0, 9002: FOOT, 9003: US_FOOT}
 """GeoTIFF codes of linear units [m]."""
 _HORIZONTAL_KEY, _VERTICAL_KEY = 3076, 4099
@@ -85,9 +85,11 @@ def _check_header(path: Path) -> None:
     """Raise ValueError if the counts and offsets of a header do not fit the file."""
     with open_user_file(path) as file:
         header = file.read(_HEADER_MAX).ljust(_HEADER_MAX, b"\0")
+        size = file.seek(0, 2)
     if header[:4] != b"LASF":
         raise ValueError("it does not start with LASF")
-    size = path.stat().st_size
+    if size < _HEADER_MIN:
+        raise ValueError(f"it is truncated: its header has {size} bytes of at least {_HEADER_MIN}")
     first_point, records = struct.unpack_from("<II", header, 96)
     extended_records = struct.unpack_from("<I", header, 243)[0] if header[25] >= 4 else 0
     # laspy would read billions of empty variable-length records beyond the end of the file.

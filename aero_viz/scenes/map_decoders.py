@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from aero_planner.user_file import open_user_file
 from aero_viz.input_limits import MAP_POINTS_MAX
 from aero_viz.point_times import time_field
-from aero_viz.scenes.decoder_checks import check_count, read_ply_header
+from aero_viz.scenes.decoder_checks import check_count, load_rows, read_ply_header
 from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
@@ -113,8 +113,8 @@ def _read_text(path: Path) -> tuple[Points, None]:
         with open_user_file(path) as file:
             declared, skipped = int(file.readline(32)), 1
     with io.TextIOWrapper(open_user_file(path), encoding="utf-8") as lines:
-        points = np.loadtxt(
-            lines, skiprows=skipped, usecols=(0, 1, 2), ndmin=2, comments=("#", "//"),
+        points = load_rows(
+            lines, (0, 1, 2), skiprows=skipped, comments=("#", "//"),
             max_rows=min(rows, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
         )  # fmt: skip
     check_count(len(points) if declared is None else declared, len(points))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file, read_user_bytes
 from aero_viz.point_times import time_field
-from aero_viz.scenes.decoder_checks import check_count, read_header
+from aero_viz.scenes.decoder_checks import check_count, load_rows, read_header
 
 Points = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ def read_pcd(path: Path) -> tuple[Points, NDArray[Any] | None]:
     if data == "ascii":
         columns = [sum(counts[:i]) for i in used]
         check_count(points, (size + 1) // (2 * sum(counts)))  # a digit and a space for each value
-        table: NDArray[Any] = np.loadtxt(_lines(path, header.count(b"\n")), usecols=columns, max_rows=points, ndmin=2)
+        table: NDArray[Any] = load_rows(_lines(path, header.count(b"\n")), columns, max_rows=points)
         check_count(points, len(table))
         last = next(islice(_lines(path, header.count(b"\n")), points - 1, None), b"")
         if len(last.split()) < sum(counts):
