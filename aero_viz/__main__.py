@@ -4,6 +4,9 @@
 def main() -> None:
     """Run the command line. The exit code is 130 after Ctrl-C, also while the command line is imported."""
     try:
+        from aero_planner.import_path import leave_current_folder
+
+        leave_current_folder()
         from aero_viz.cli import main as run
 
         run()

@@ -14,11 +14,15 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
+from aero_planner.import_path import child_environment, module_command
+from aero_planner.plain_text import in_own_words
+from aero_planner.user_file import restrict_user_files, user_folders
+from aero_viz.answers import decode, encode
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 
@@ -75,17 +79,21 @@ class Limits:
 class ReaderProcess:
     """A `Reader` whose calls run in a separate process, with a lower priority than this one.
 
-    The function, its arguments and its result are pickled.
+    The function and its arguments are pickled; the result consists of values, see `aero_viz.answers`.
 
     Args:
         limits: what a call may use; on Windows, only the time is limited.
         is_kept: True keeps the process for further calls, until `close`, and forbids functions that start processes.
             Otherwise every call starts one.
+        folders: the only folders in which the process opens files that a user names; None leaves it to what holds here.
     """
 
-    def __init__(self, limits: Limits = Limits(), *, is_kept: bool = False) -> None:
+    def __init__(
+        self, limits: Limits = Limits(), *, is_kept: bool = False, folders: Iterable[str | Path] | None = None
+    ) -> None:
         self._limits = limits
         self._is_kept = is_kept
+        self._folders = folders if folders is None else tuple(map(str, folders))
         self._process: subprocess.Popen[bytes] | None = None
         self._started = time.monotonic()
         self._first_bytes = 0
@@ -116,7 +124,8 @@ class ReaderProcess:
         timer.start()
         answer = None
         try:
-            answer = self._exchange(process, pickle.dumps((limits, function, arguments, options)))
+            folders = user_folders() if self._folders is None else self._folders
+            answer = self._exchange(process, pickle.dumps((limits, folders, function, arguments, options)), limits)
         finally:
             timer.cancel()
             if answer is None or not self._is_kept:
@@ -171,30 +180,31 @@ class ReaderProcess:
                         pipe.close()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        # The process has to find the same modules, also those of a script's folder.
-        path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
         with self._lock:
             if self._verdict is not None:
                 raise self._verdict
             if self._process is None:
                 # A kept process stays in the group of this one: it ends with it, also if that is itself a reader.
                 self._process = subprocess.Popen(
-                    [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                    stderr=subprocess.DEVNULL, env={**os.environ, **_SINGLE_THREAD, "PYTHONPATH": path},
+                    module_command(__name__), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL, env=child_environment(**_SINGLE_THREAD),
                     start_new_session=not self._is_kept,
                 )  # fmt: skip
             return self._process
 
-    def _exchange(self, process: subprocess.Popen[bytes], request: bytes) -> tuple[str, Any] | None:
+    def _exchange(self, process: subprocess.Popen[bytes], request: bytes, limits: Limits) -> tuple[str, Any] | None:
         """Return the answer, None if the process ended without one."""
         assert process.stdin is not None and process.stdout is not None
         try:
             process.stdin.write(request)
             process.stdin.flush()
             self._first_bytes = int.from_bytes(process.stdout.read(_COUNT_BYTES), "little")
-            return pickle.load(process.stdout)
-        except (BrokenPipeError, EOFError, pickle.UnpicklingError):
+            kind, content = decode(process.stdout, limits.memory)
+            return str(kind), content
+        except (BrokenPipeError, EOFError):
             pass
+        except (pickle.UnpicklingError, TypeError, ValueError):  # the file has taken over the process
+            self._end(UserError("The process that read it gave no proper answer; the file is probably hostile."))
         process.wait()
         return None
 
@@ -242,16 +252,16 @@ def _limit_resources(limits: Limits) -> None:
 
 
 def _answer(request: tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]) -> bytes:
-    """Call a function, and return its pickled result or error."""
+    """Call a function, and return its encoded result or error."""
     function, arguments, options = request
     try:
-        return pickle.dumps(("result", function(*arguments, **options)), protocol=pickle.HIGHEST_PROTOCOL)
+        return encode(("result", function(*arguments, **options)))
     except UserError as error:
-        return pickle.dumps(("error", str(error)))
+        return encode(("error", str(error)))
     except MemoryError:
-        return pickle.dumps(("memory", None))
+        return encode(("memory", None))
     except Exception as error:
-        return pickle.dumps(("error", f"{type(error).__name__}: {error}"))
+        return encode(("error", in_own_words(error)))
 
 
 def _lower_priority() -> None:
@@ -275,10 +285,11 @@ def _serve() -> None:
     _lower_priority()
     while True:
         try:
-            limits, *request = pickle.load(sys.stdin.buffer)
+            limits, folders, *request = pickle.load(sys.stdin.buffer)
         except EOFError:
             os._exit(0)  # the threads of a library must not hold up the end
         _limit_resources(limits)
+        restrict_user_files(folders)
         answers.write(_bytes_read(os.getpid()).to_bytes(_COUNT_BYTES, "little"))
         answers.flush()
         answers.write(_answer((request[0], request[1], request[2])))

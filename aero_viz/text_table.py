@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
+from aero_planner.plain_text import one_line
+
 _MAX_WIDTH = 10_000
 """Lines are never wrapped, so that a table reads the same in a terminal and in a pipe."""
 
@@ -26,7 +28,7 @@ def format_table(rows: Sequence[Sequence[str]], *, header: Sequence[str] = (), r
         name = Text(header[column]) if header else ""
         table.add_column(name, justify="right" if column in right else "left", no_wrap=True)
     for row in rows:
-        table.add_row(*(Text("".join(x if x.isprintable() else "?" for x in cell)) for cell in row))
+        table.add_row(*(Text(one_line(cell)) for cell in row))
     console = Console(file=io.StringIO(), width=_MAX_WIDTH, color_system=None)
     with console.capture() as capture:
         console.print(table)

@@ -13,13 +13,17 @@ from websockets import Headers
 from aero_viz.errors import UserError
 
 SECURITY_HEADERS = {
-    "Content-Security-Policy": "frame-ancestors 'none'",
+    # viser's page unpacks and evaluates its own scripts, and starts workers of them.
+    "Content-Security-Policy": (
+        "default-src 'self' data: blob: 'unsafe-inline'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+        "object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
     "X-Frame-Options": "DENY",
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-"""Headers of every answer: no foreign page may frame or embed the page."""
+"""Headers of every answer: no foreign page may frame or embed the page, and it loads nothing from elsewhere."""
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 ANY_ADDRESS = ("", "0.0.0.0", "::")
@@ -93,6 +97,20 @@ class Access:
         """Return True if `origin` is the page at `host`, or a page that an allowed proxy serves."""
         scheme, name, port = origin
         return scheme in _PORTS and (name in self._proxies or (name, port) == (host[0], host[1] or _PORTS[scheme]))
+
+
+def is_encrypted(headers: Headers) -> bool:
+    """Return True if a browser made a request through TLS, which ends at a proxy.
+
+    Proxies say so in a header. Browsers send Sec-Fetch-Site only through TLS, and to this machine.
+    """
+    proto = (_only(headers, "X-Forwarded-Proto") or "").split(",")[0].strip().lower()
+    if proto:
+        return proto == "https"
+    if "proto=https" in (_only(headers, "Forwarded") or "").lower():
+        return True
+    host = _place(f"//{_only(headers, 'Host') or ''}")
+    return "Sec-Fetch-Site" in headers and host is not None and host[0] not in _LOOPBACK
 
 
 def _only(headers: Headers, name: str) -> str | None:

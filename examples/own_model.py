@@ -44,7 +44,9 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, dt: float) -> wp.vec3:
 
 
 @wp.func
-def follow(p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, t: float, rate: float, dt: float, c: Any):
+def follow(
+    p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, t: float, rate: float, dt: float, c: Any
+):
     way = guide_position(guide, wp.min(t + LEAD, guide.T)) - p
     turn = wrap_angle(wp.atan2(way[1], way[0]) - heading(q)) * wp.min(1.0, 5.0 * wp.length(way))  # not at the end
     return clamp(wp.vec4(wp.length(way) * wp.max(0.0, wp.cos(turn)), turn, 0.0, 0.0) / LEAD, c)
@@ -58,4 +60,6 @@ rules = aero_viz.flight.FlightRules(arrival_radius=0.3)
 result = aero_viz.flight.fly(scene("pillars", seed=1), config=config, rules=rules, trajectory="own_model.csv")
 way = np.loadtxt("own_model.csv", delimiter=",", skiprows=1)  # t, x, y, z, vx, vy, vz
 print(f"{result.reason} after {result.flight_time_s:.1f} s, {result.min_clearance:.2f} m from the nearest pillar")
-print(f"turned aside by up to {np.abs(way[:, 2]).max():.2f} m, heights {way[:, 3].min():.2f} to {way[:, 3].max():.2f} m")
+print(
+    f"turned aside by up to {np.abs(way[:, 2]).max():.2f} m, heights {way[:, 3].min():.2f} to {way[:, 3].max():.2f} m"
+)

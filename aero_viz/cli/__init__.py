@@ -7,6 +7,7 @@ import os
 import sys
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output, quick_imports
+from aero_planner.plain_text import in_own_words, log_plainly, one_line, say
 from aero_planner.termination import install_handler
 from aero_viz.errors import UserError
 
@@ -17,12 +18,14 @@ _DESCRIPTION = "AERO-Viz: the AERO-MPPI planner, live in the browser."
 
 def _refuse(message: str, arguments: list[str] | None) -> None:
     """Print a message on stderr and, for whoever reads the JSON of --json, as one JSON object on stdout."""
-    print(f"aero-viz: {message}", file=sys.stderr)
+    message = one_line(message)
+    say(f"aero-viz: {message}", file=sys.stderr)
     if "--json" in (sys.argv[1:] if arguments is None else arguments):
         import json
 
         with contextlib.suppress(OSError, ValueError):
-            print(json.dumps({"error": message}), flush=True)
+            say(json.dumps({"error": message}))
+            sys.stdout.flush()
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -38,6 +41,7 @@ def main(arguments: list[str] | None = None) -> None:
     if sys.stdout is None:  # closed by the shell, as with >&-
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 (open until the end)
     install_handler()
+    log_plainly()
     try:
         with quick_imports() if arguments is None else contextlib.nullcontext():
             from aero_viz.cli.commands import COMMANDS
@@ -54,7 +58,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (UserError, ValueError) as error:
         if isinstance(error, ValueError) and os.environ.get("AERO_VIZ_DEBUG"):
             raise
-        _refuse(" ".join(str(error).split()), arguments)
+        _refuse(str(error) if isinstance(error, UserError) else in_own_words(error), arguments)
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(abandon_output()) from None

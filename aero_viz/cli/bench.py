@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from aero_planner.plain_text import say
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -173,7 +174,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
         executor.close()
     summaries = write_report(run, folder, external=external)
     if interrupted:
-        print(
+        say(
             f"{len(run.flights)} of {run.total} flights are kept in {folder}; "
             "run the same command with --resume to continue.",
             file=sys.stderr,
@@ -196,7 +197,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
         success = format_table(matrix[1:], header=matrix[0]) if matrix else ""
         thirds = format_table(groups[1:], header=groups[0]) if groups else ""
         tables = [success, format_summaries(summaries), format_causes(run), *format_worlds(run), thirds]
-        print(*filter(None, tables), folder / "report.md", sep="\n")
+        say(*filter(None, tables), folder / "report.md", sep="\n")
     if interrupted:
         raise SystemExit(130)
 

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from aero_planner.output_files import check_ending, check_output_files
+from aero_planner.output_files import check_ending, check_output_files, whole_file
 from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, LidarName, OptionalFloat, OptionalPath, WorldFlags
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
@@ -88,6 +88,7 @@ def explain(
             raise UserError("No picture was written: the flight did not fail. Leave --picture out.")
         is_collision = report.outcome == "collision"
         try:
-            picture.write_text(draw_map(evidence, trace.end_position if is_collision else None), encoding="utf-8")
+            with whole_file(picture, alone=True) as partial:
+                partial.write_text(draw_map(evidence, trace.end_position if is_collision else None), encoding="utf-8")
         except OSError as error:
             raise UserError(f"The picture {picture} cannot be written: {error.strerror or error}.") from error

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from aero_planner.output_files import check_ending, check_output_files
+from aero_planner.plain_text import say
 from aero_viz.cli.flags import (
     ConfigFlags,
     FileName,
@@ -145,10 +147,12 @@ def score(
         rules: The rules by which a flight ends.
     """
     from aero_viz.evaluation.bench.external_results import append_to_table
-    from aero_viz.evaluation.score import load_trajectory
+    from aero_viz.evaluation.score import load_trajectory, other_world
     from aero_viz.evaluation.score import score as score_flight
 
     limits, loaded = flight_rules(rules), world_flags.load(world, seed=seed)
+    if problem := other_world(flight, loaded):
+        say(f"aero-viz: {problem}", file=sys.stderr)
     result = score_flight(
         load_trajectory(flight, pose_topic=pose_topic), loaded, rules=limits, planner=planner, seed=seed
     )

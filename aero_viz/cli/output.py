@@ -7,6 +7,8 @@ import json
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
+from aero_planner.plain_text import say
+
 
 class Report(Protocol):
     """A result that a command prints."""
@@ -22,7 +24,7 @@ class Report(Protocol):
 
 def print_json(content: dict[str, Any]) -> None:
     """Print one JSON object in one line. Raises ValueError for numbers that JSON does not have."""
-    print(json.dumps(content, allow_nan=False))
+    say(json.dumps(content, allow_nan=False))
 
 
 def print_report(report: Report, *, as_json: bool) -> None:
@@ -30,7 +32,7 @@ def print_report(report: Report, *, as_json: bool) -> None:
     if as_json:
         print_json(report.to_dict())
     else:
-        print(report.format_table())
+        say(report.format_table())
 
 
 @contextlib.contextmanager

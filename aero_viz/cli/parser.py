@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import importlib
-from collections.abc import Callable, Mapping, Sequence
+import io
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import NoneType
 from typing import TYPE_CHECKING, Any, get_args, get_origin
 
+from aero_planner.cli_util import installed_version
 from aero_planner.parameters import did_you_mean
+from aero_planner.plain_text import say
 from aero_viz.errors import UserError
 from aero_viz.seed_range import check_seed
 
@@ -44,8 +49,8 @@ def parse(
         description: description of the program for --help.
 
     Raises:
-        UserError: no command or an unknown command was requested, or the seed is out of range.
-        SystemExit: code 0 after help has been printed, 2 after tyro has reported a mistake on stderr.
+        UserError: no command or an unknown command was requested, a flag is wrong, or the seed is out of range.
+        SystemExit: code 0 after help or the version has been printed.
     """
     for words in (2, 1):  # "bench compare" before "bench"
         name = " ".join(arguments[:words])
@@ -53,14 +58,17 @@ def parse(
             import tyro
 
             command = commands[name]
-            with _value_rules():
+            with _value_rules(), _one_sentence(f"{prog} {name}"):
                 call = tyro.cli(_deferred(command.load()), prog=f"{prog} {name}", args=arguments[words:])
             if command.needs:
                 importlib.import_module(command.needs)
             return call
     first = arguments[0] if arguments else ""
     if first in ("-h", "--help"):
-        print(_format_help(commands, prog=prog, description=description))
+        say(_format_help(commands, prog=prog, description=description))
+        raise SystemExit(0)
+    if first == "--version":
+        say(", ".join(f"{name} {installed_version(name)}" for name in ("aero-viz", "aero-planner", "warp-lang")))
         raise SystemExit(0)
     if first.startswith("--tyro-"):  # shell completion
         return _parse_with_all(commands, arguments, prog=prog)
@@ -68,6 +76,23 @@ def parse(
     given = " ".join(arguments[: 2 if is_group else 1])
     mistake = f"there is no command {given!r}{did_you_mean(given, commands)}" if given else "a command is missing"
     raise UserError(f"{mistake}; give one of {', '.join(commands)}, or --help.")
+
+
+@contextlib.contextmanager
+def _one_sentence(command: str) -> Iterator[None]:
+    """Turn the box in which tyro reports a mistake into a UserError."""
+    with contextlib.redirect_stderr(io.StringIO()) as shown:
+        try:
+            yield
+            return
+        except SystemExit as end:
+            if not end.code:
+                raise
+    # The first line of a box is its title, lines of dashes separate its parts, and the last part points to the help.
+    lines = [line.strip("│ ") for line in shown.getvalue().splitlines() if not line.startswith(("╭", "╰"))]
+    parts = [" ".join(part.split()).rstrip(".") for part in re.split("─{3,}", "\n".join(lines))]
+    told = "; ".join(part for part in parts if part and not part.startswith("For full helptext"))
+    raise UserError(f"{told or 'The flags are not understood'}; see {command} --help.")
 
 
 def _deferred(function: Callable[..., None]) -> Callable[..., Callable[[], None]]:
@@ -137,9 +162,8 @@ def _value_rules() -> ConstructorRegistry:
 def _format_help(commands: Mapping[str, Command], *, prog: str, description: str) -> str:
     width = max(map(len, commands))
     lines = [f"  {name:{width}}  {command.summary}" for name, command in commands.items()]
-    return "\n".join(
-        [f"usage: {prog} COMMAND ...", "", description, "", "commands:", *lines, "", f"Flags: {prog} COMMAND --help"]
-    )
+    hints = [f"Flags: {prog} COMMAND --help", f"Version: {prog} --version"]
+    return "\n".join([f"usage: {prog} COMMAND ...", "", description, "", "commands:", *lines, "", *hints])
 
 
 def _parse_with_all(commands: Mapping[str, Command], arguments: Sequence[str], *, prog: str) -> Callable[[], None]:

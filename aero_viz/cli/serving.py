@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from aero_planner.plain_text import say
 from aero_planner.termination import leave_terminal
 from aero_viz.cli.flags import FoxgloveFlag, OptionalText
 from aero_viz.errors import UserError
@@ -163,17 +164,17 @@ def serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags
 
 def announce_foxglove(url: str) -> None:
     """Print the address for Foxglove."""
-    print(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
+    say(f"Foxglove: {url} (Open connection, Foxglove WebSocket)", flush=True)
 
 
 def announce(subject: str, server: LocalServer, page_flags: PageFlags) -> None:
     """Print the address of the page and who can reach it, and open it if that is asked for."""
-    print(f"AERO-Viz shows {subject} at {server.link()} (press Ctrl-C to stop)", flush=True)
+    say(f"AERO-Viz shows {subject} at {server.link()} (press Ctrl-C to stop)", flush=True)
     if not server.is_private:
         for address in server.addresses:
-            print(f"  to control it from another machine: {server.link(address=address)}", flush=True)
-            print(f"  to watch it from another machine: {server.link(address=address, view_only=True)}", flush=True)
-        print("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
+            say(f"  to control it from another machine: {server.link(address=address)}", flush=True)
+            say(f"  to watch it from another machine: {server.link(address=address, view_only=True)}", flush=True)
+        say("Whoever has a link sees everything. Connections are not encrypted, except behind a proxy.", flush=True)
     if page_flags.open:
         webbrowser.open(server.link())
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 from aero_planner.output_files import check_output_files
+from aero_planner.plain_text import say
 from aero_viz.cli.flags import (
     ConfigFlags,
     FlightFlags,
@@ -90,7 +91,7 @@ def share(
             layers=None if layers is None else [name.strip() for name in layers.split(",")],
             report=lambda time: update_bar(min(time, duration), duration, f"{time:.1f} s"),
         )
-    print(f"{output}: {format_size(output.stat().st_size)}")
+    say(f"{output}: {format_size(output.stat().st_size)}")
 
 
 def _recorded_files(source: str, output: Path) -> list[Path]:

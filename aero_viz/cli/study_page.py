@@ -13,6 +13,7 @@ from functools import partial
 from multiprocessing.process import BaseProcess
 
 from aero_planner.cli_util import quick_imports
+from aero_planner.plain_text import say
 from aero_viz.cli.serving import StudyFlags, shutdown_event
 from aero_viz.errors import UserError
 
@@ -65,7 +66,7 @@ def _run(serve: Callable[[], None]) -> None:
                 import aero_viz.dashboard  # noqa: F401
             serve()
         except UserError as error:
-            print(f"aero-viz: {error} The search goes on without the page.")
+            say(f"aero-viz: {error} The search goes on without the page.")
 
 
 def _follow_parent() -> None:

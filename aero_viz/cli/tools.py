@@ -7,6 +7,7 @@ from typing import Annotated
 import tyro
 
 from aero_planner.output_files import check_output_files
+from aero_planner.plain_text import say
 from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
@@ -67,7 +68,7 @@ def snapshot(
         seed=seed,
         device=device,
     )
-    print(output)
+    say(output)
 
 
 def _viewpoint(camera: str) -> str | tuple[list[float], list[float]]:
@@ -105,7 +106,7 @@ def world_export(
 
     check_output_files(output, overwrite=overwrite, inputs=[world])
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
-    print(f"{output}: {points} points" if points else str(output))
+    say(f"{output}: {points} points" if points else str(output))
 
 
 def world_info(
@@ -159,7 +160,7 @@ def export(
         summary = write_bundle(output, config=config, architectures=arch, cpu=cpu, overwrite=overwrite)
     except OSError as error:
         raise UserError(f"{output} can't be written: {error.strerror or error}.") from error
-    print(summary)
+    say(summary)
 
 
 def parameters() -> None:
@@ -169,7 +170,7 @@ def parameters() -> None:
     """
     from aero_planner.config.docs import format_parameters
 
-    print(format_parameters())
+    say(format_parameters())
 
 
 def doctor(*, json: bool = False) -> None:

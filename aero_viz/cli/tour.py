@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from typing import TYPE_CHECKING
 
+from aero_planner.plain_text import say
 from aero_viz.cli.serving import PageFlags, announce, serve_foxglove, shutdown_event
 
 if TYPE_CHECKING:
@@ -37,4 +38,4 @@ def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, 
         serve_foxglove(stack, session, page_flags)
         announce("the tour", dashboard.server, page_flags)
         session.start(play=False)
-        Tour(session, dashboard, opener, say=lambda line: print(line, flush=True)).run(shutdown)
+        Tour(session, dashboard, opener, say=lambda line: say(line, flush=True)).run(shutdown)

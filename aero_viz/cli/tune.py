@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 import tyro
 
 from aero_planner.output_files import check_folder, check_output_files
+from aero_planner.plain_text import say
 from aero_planner.termination import is_terminating
 from aero_viz.cli.flags import (
     ConfigFlags,
@@ -161,13 +162,13 @@ def tune(
         else:
             changed = {path: value for path, value in tuning.values(tuning.chosen).items() if value != config.get(path)}
             as_flags = [f"--{path.replace('_', '-')} {value:g}" for path, value in changed.items()]
-            print(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
+            say(tuning.format_table(), *([f"As flags: {' '.join(as_flags)}"] if as_flags else []), sep="\n")
             if storage != "memory" and shown is None:
-                print(f"On the page: aero-viz demo {world} --study {tuning.study} --storage {storage}")
+                say(f"On the page: aero-viz demo {world} --study {tuning.study} --storage {storage}")
         if output is not None and tuning.best is not None:
             save_config(tuning.chosen, output)
             if not json:
-                print(output)
+                say(output)
         if shown is not None and not is_terminating():
             sys.stdout.flush()
             shown.wait()

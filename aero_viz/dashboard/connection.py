@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any
 
 import msgspec
 import viser
 from viser import _messages
-from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard.message_limit import MessageLimit
 from aero_viz.dashboard.page_messages import (
@@ -32,8 +32,15 @@ from aero_viz.dashboard.page_messages import (
 )
 from aero_viz.dashboard.tokens import Role
 from aero_viz.dashboard.visitors import Visitors
+from aero_viz.guests import GuestConnection
 
 _log = logging.getLogger(__name__)
+MESSAGE_MAX = 1 << 20
+"""Largest message of a page [bytes]; the page sends files in parts of 512 kB."""
+_WATCHER_MESSAGE_MAX = 1 << 16
+"""Largest message of a page that can only watch [bytes]."""
+_PICTURE_MAX = 50 << 20
+"""Largest message with a picture that was asked for [bytes]."""
 _PARTS_MAX = 10_000
 """Largest number of parts of a file; the page sends parts of 512 kB."""
 _MESSAGES_IN_A_ROW = 16
@@ -52,7 +59,7 @@ class _TooLarge(ValueError):
     """A visitor uploads a file that is too large, and has been told so."""
 
 
-class PageConnection(ServerConnection):
+class PageConnection(GuestConnection):
     """Connection that viser receives messages from.
 
     viser sets any attribute of a control that a message names, keeps the parts of any number of files of any size, and
@@ -62,12 +69,12 @@ class PageConnection(ServerConnection):
     only by the visitor who holds control.
 
     Args:
-        arguments: those of `ServerConnection`.
+        arguments: those of `GuestConnection`.
         page: server of the page.
         visitors: visitors of the page.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
         catch_up: returns a future that is done when the session has run all commands of the page.
-        options: those of `ServerConnection`.
+        options: those of `GuestConnection`.
     """
 
     def __init__(
@@ -111,6 +118,19 @@ class PageConnection(ServerConnection):
         client = transport.get_extra_info("socket")
         if client is not None and hasattr(socket, "TCP_NOTSENT_LOWAT"):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_MAX)
+
+    def limit_messages(self) -> None:
+        """Limit the size of a message: whoever only watches sends no files, and a picture is sent on request."""
+        self.protocol.max_message_size = MESSAGE_MAX if self.role is Role.CONTROL else _WATCHER_MESSAGE_MAX
+
+    @contextlib.contextmanager
+    def rendering(self) -> Iterator[None]:
+        """Let the client send a picture, which was asked for, while the context is open."""
+        self.protocol.max_message_size = _PICTURE_MAX
+        try:
+            yield
+        finally:
+            self.limit_messages()
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that a page may send."""

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from aero_viz.errors import UserError
+
+_FOLDERS_MAX = 10_000
+"""Largest number of folders below one that is opened."""
 
 
 class Folders:
@@ -46,11 +50,20 @@ class Folders:
         return found
 
     def _holds(self, path: Path) -> bool:
-        """Return True if a path exists within the folders, and so does every file of the folder that it may name."""
+        """Return True if a path exists within the folders, and so does all that links below it lead to."""
         resolved = path.resolve()
         if not resolved.exists() or not self._is_inside(resolved):
             return False
-        return not resolved.is_dir() or all(self._is_inside(entry.resolve()) for entry in resolved.iterdir())
+        waiting, seen = [resolved] if resolved.is_dir() else [], {resolved}
+        while waiting:
+            for entry in os.scandir(waiting.pop()):
+                target = Path(entry.path).resolve() if entry.is_symlink() else Path(entry.path)
+                if not self._is_inside(target) or len(seen) > _FOLDERS_MAX:
+                    return False
+                if entry.is_dir() and target not in seen:
+                    waiting.append(target)
+                    seen.add(target)
+        return True
 
     def _is_inside(self, resolved: Path) -> bool:
         return any(resolved.is_relative_to(folder) for folder in self.paths)
@@ -69,4 +82,5 @@ def _short_names(paths: Sequence[Path]) -> list[str]:
 
 
 def _may_be_recording(folder: Path) -> bool:
-    return any(entry.name == "metadata.yaml" or entry.suffix in (".mcap", ".db3") for entry in folder.iterdir())
+    named = (file for file in folder.iterdir() if file.name == "metadata.yaml" or file.suffix in (".mcap", ".db3"))
+    return any(file.is_file() for file in named)

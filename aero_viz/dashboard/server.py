@@ -10,33 +10,31 @@ import io
 import logging
 import socket
 import threading
-import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
 import viser
-import websockets.asyncio.server
 from viser import _messages
 from viser.infra import WebsockClientConnection
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.connection import PageConnection
+from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.tokens import Role, Tokens
+from aero_viz.dashboard.viser_server import LoopEvent, serving
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
+from aero_viz.guests import BACKLOG, Guests, report_briefly
 from aero_viz.session.base import completed
-from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, local_address, quiet_logger
+from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, is_encrypted, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter takes 8 kB."""
-CLIENTS_MAX = 64
-"""Largest number of open pages; each takes about 1 MB."""
 _QUEUED_FRAMES = 2
-"""Largest number of pending messages of a client; the largest message, a rendering, takes 50 MB."""
+"""Largest number of pending messages of a client."""
 
 _INPUT = ":is(.mantine-NumberInput-root,.mantine-Checkbox-root)"
 _SECTION = '.mantine-Tabs-root[style*="border-top"]'
@@ -136,10 +134,13 @@ class LocalServer(viser.ViserServer):
         self._tokens: Tokens | None = None
         """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
+        self.guests = Guests(is_proxied=bool(self._access.proxies))
+        """Connections to the server."""
         _require_free(host, port)
         options = {
             "create_connection": functools.partial(
                 PageConnection,
+                guests=self.guests,
                 page=self,
                 visitors=self.visitors,
                 upload_limit=upload_limit,
@@ -147,16 +148,19 @@ class LocalServer(viser.ViserServer):
             ),
             "process_response": _add_security_headers,
             "max_queue": _QUEUED_FRAMES,
+            "max_size": MESSAGE_MAX,
+            "backlog": BACKLOG,
             "logger": quiet_logger(__name__),
         }
         # viser's banner is discarded; the caller prints the address.
-        with contextlib.redirect_stdout(io.StringIO()), _serving(self._admit, options):
+        with contextlib.redirect_stdout(io.StringIO()), serving(self._admit, options):
             super().__init__(host=host, port=port, label="AERO-Viz", verbose=False)
         if port and self.get_port() != port:
             self.stop()
             raise _busy(host, port)
+        report_briefly(self.get_event_loop())
         server = self._websock_server
-        server.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
+        server.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
         server.on_client_connect(self._prepare_client)
         server.on_client_disconnect(lambda client: self.visitors.leave(client.client_id))  # type: ignore[arg-type]
         if not self._access.is_private:
@@ -173,10 +177,12 @@ class LocalServer(viser.ViserServer):
         if refusal is not None:
             return connection.respond(403, f"{refusal}\n")
         answer = None if self._tokens is None else self._check_token(self._tokens, connection, request)
-        is_full = len(self._websock_server._live_connections) >= CLIENTS_MAX
-        if answer is None and is_full and "Upgrade" in request.headers:
+        if answer is not None or "Upgrade" not in request.headers:
+            return answer
+        connection.limit_messages()
+        if not self.guests.admit(connection, has_right=connection.role is Role.CONTROL):
             return connection.respond(503, f"{_FULL}\n")
-        return answer
+        return None
 
     def _check_token(self, tokens: Tokens, connection: PageConnection, request: Request) -> Response | None:
         """Answer links and requests without a valid token; record the role of all other requests."""
@@ -184,7 +190,7 @@ class LocalServer(viser.ViserServer):
         if role is None:
             return connection.respond(401, f"{_NO_TOKEN}\n")
         connection.role = role
-        cookie = tokens.cookie(request.path)
+        cookie = tokens.cookie(request.path, is_encrypted=is_encrypted(request.headers))
         if cookie is None or "Upgrade" in request.headers:
             return None
         response = connection.respond(303, "")
@@ -192,8 +198,13 @@ class LocalServer(viser.ViserServer):
         response.headers["Set-Cookie"] = cookie
         return response
 
+    def rendering(self, client: viser.ClientHandle) -> contextlib.AbstractContextManager[None]:
+        """Let a client send a picture while the context is open."""
+        connection = self._websock_server._live_connections.get(client.client_id)
+        return connection.rendering() if isinstance(connection, PageConnection) else contextlib.nullcontext()
+
     async def _prepare_client(self, client: WebsockClientConnection) -> None:
-        client.get_message_buffer().message_event = _LoopEvent(self.get_event_loop())
+        client.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
 
     def _acknowledge_uploads_privately(self) -> None:
         """Tell only the page that uploads a file how much has arrived.
@@ -277,61 +288,6 @@ class LocalServer(viser.ViserServer):
         scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
-
-
-class _LoopEvent(asyncio.Event):
-    """An event that may be set from any thread.
-
-    viser's message buffer sets its event from the thread that sends a message. If that happens just before the event
-    loop starts to wait, the event is set while somebody waits for it: it cannot be set again, and no message is sent
-    until another client connects. Here it is set on the event loop only.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
-        super().__init__()
-        self._target_loop = loop
-        self._is_scheduled = False
-
-    def set(self) -> None:
-        """Set the event: at once when called on its loop, otherwise as soon as the loop runs."""
-        if asyncio._get_running_loop() is self._target_loop:
-            self._is_scheduled = False
-            super().set()
-        elif not self._is_scheduled:  # one wake-up for all messages of an update
-            self._is_scheduled = True
-            with contextlib.suppress(RuntimeError):  # the server was stopped
-                self._target_loop.call_soon_threadsafe(self.set)
-
-
-warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")  # of a visitor who has just left
-_patch_lock = threading.Lock()
-
-
-@contextlib.contextmanager
-def _serving(admit: Any, options: dict[str, Any]) -> Iterator[None]:
-    """Start the websocket server of viser, inside the context, with further `options` of `websockets`.
-
-    Args:
-        admit: called before viser's own function that answers requests, with the same arguments.
-        options: arguments of `websockets.asyncio.server.serve`.
-    """
-    original = websockets.asyncio.server.serve
-
-    def serve(handler: Any, *arguments: Any, process_request: Any = None, **given: Any) -> Any:
-        if not handler.__module__.startswith("viser."):
-            return original(handler, *arguments, process_request=process_request, **given)
-
-        async def process(connection: ServerConnection, request: Request) -> Response | None:
-            return await admit(connection, request) or process_request(connection, request)
-
-        return original(handler, *arguments, process_request=process, **{**given, **options})
-
-    with _patch_lock:
-        websockets.asyncio.server.serve = serve  # type: ignore[assignment,misc]
-        try:
-            yield
-        finally:
-            websockets.asyncio.server.serve = original
 
 
 def _outward_address() -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlannerConfig
+from aero_planner.output_files import whole_file
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard, palette
 from aero_viz.dashboard.panels import markup
@@ -154,13 +155,14 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], 
         view: dict[str, Any] = {"wxyz": orientation(position, look_at), "position": position, "fov": FIELD_OF_VIEW}
         view |= {"transport_format": "png", "timeout": 60.0}
         previous = None
-        for _ in range(20):  # the page builds its nodes over several frames
-            preview = client.get_render(size[1] // 4, size[0] // 4, **view)
-            if previous is not None and np.array_equal(preview, previous):
-                break
-            previous = preview
-            page.wait_for_timeout(100)
-        picture = client.get_render(size[1], size[0], **view)
+        with dashboard.server.rendering(client):
+            for _ in range(20):  # the page builds its nodes over several frames
+                preview = client.get_render(size[1] // 4, size[0] // 4, **view)
+                if previous is not None and np.array_equal(preview, previous):
+                    break
+                previous = preview
+                page.wait_for_timeout(100)
+            picture = client.get_render(size[1], size[0], **view)
         # The picture is transparent where nothing was drawn.
         cover = picture[..., 3:].astype(np.float32) / 255.0
         picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
@@ -208,6 +210,7 @@ def _write(image: NDArray[np.uint8], path: Path) -> None:
     # Encoded in memory: on a full disk, imageio would fail a second time when it closes the file.
     content = iio.imwrite("<bytes>", image, extension=".png")
     try:
-        path.write_bytes(content)
+        with whole_file(path, alone=True) as partial:
+            partial.write_bytes(content)
     except OSError as error:
         raise UserError(f"The picture {path} cannot be written: {error.strerror or error}.") from error

@@ -42,12 +42,18 @@ class Tokens:
         given = self._in_query(path)
         return self._role(self._in_cookies(headers) if given is None else given)
 
-    def cookie(self, path: str) -> str | None:
-        """Return the header that makes a browser keep the token in the query; None if there is no valid one."""
+    def cookie(self, path: str, *, is_encrypted: bool) -> str | None:
+        """Return the header that makes a browser keep the token in the query; None if there is no valid one.
+
+        Args:
+            path: path of the request.
+            is_encrypted: True if the browser asks through TLS; it then sends the cookie through nothing else.
+        """
         role = self._role(self._in_query(path))
         if role is None:
             return None
-        return f"{self._cookie}={self._values[role]}; Path=/; HttpOnly; SameSite=Lax"
+        secure = "; Secure" if is_encrypted else ""
+        return f"{self._cookie}={self._values[role]}; Path=/; HttpOnly; SameSite=Lax{secure}"
 
     def without_token(self, path: str) -> str:
         """Return the query of a path without its token, with a leading "?" unless nothing is left.

@@ -6,9 +6,11 @@ depend on where it is flown, on the number of workers, or on the order in which 
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import platform
 import signal
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Protocol, TypeVar
@@ -98,7 +100,9 @@ class RayExecutor:
         options: dict[str, Any] = {"address": address} if address else {"address": "local", "include_dashboard": False}
         handler = signal.getsignal(signal.SIGTERM)
         try:
-            ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
+            # Ray adds the current folder of this moment to the path of imports of its workers.
+            with tempfile.TemporaryDirectory() as empty, contextlib.chdir(empty):
+                ray.init(**options, log_to_driver=False, logging_level=logging.ERROR)
             if threading.current_thread() is threading.main_thread():
                 signal.signal(signal.SIGTERM, handler)  # Ray's own handler ends the process, and all results are lost
         except Exception as error:  # Ray raises plain exceptions, too

@@ -82,6 +82,26 @@ def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Traje
     return trajectory
 
 
+def other_world(path: str | Path, world: World) -> str | None:
+    """Return what to tell the user if a file is the log of a flight in another world; None if nothing is known of that.
+
+    Raises:
+        UserError: the log is damaged.
+    """
+    from aero_viz.logs.log_contents import is_flight_log, read_log
+
+    own = read_log(path).world() if is_flight_log(path) else None
+    if own is None:
+        return None
+    differing = [key for key, value in own.to_dict().items() if key != "name" and value != world.to_dict().get(key)]
+    if not differing:
+        return None
+    return (
+        f"{path} was flown in the world {own.name!r}, and is scored in {world.name!r}: they differ in their "
+        f"{', '.join(differing)}."
+    )
+
+
 def score(
     trajectory: Trajectory, world: World, *, rules: FlightRules | None = None, planner: str = "recorded", seed: int = 0
 ) -> FlightResult:

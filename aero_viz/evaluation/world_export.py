@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.scenes import World
 from aero_viz.scenes.primitives import primitive_bounds
@@ -66,12 +67,12 @@ def export_world(world: World, path: str | Path, *, spacing: float = 0.1) -> int
         return 0
     points = surface_points(world, spacing=spacing).astype("<f4")
     try:
-        if suffix == ".npy":
-            with path.open("wb") as file:
+        with whole_file(path, alone=True) as partial, partial.open("wb") as file:
+            if suffix == ".npy":
                 np.save(file, points)
-        else:
-            header = _pcd_header(len(points)) if suffix == ".pcd" else _ply_header(len(points))
-            path.write_bytes(header.encode() + points.tobytes())
+            else:
+                header = _pcd_header(len(points)) if suffix == ".pcd" else _ply_header(len(points))
+                file.write(header.encode() + points.tobytes())
     except OSError as error:
         raise UserError(f"Cannot write {path}: {error.strerror or error}.") from error
     return len(points)

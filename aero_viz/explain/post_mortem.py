@@ -22,6 +22,8 @@ from aero_viz.session.frame import Frame
 Array = NDArray[np.float64]
 FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
+_APPROACH_MIN = 0.5
+"""Mean speed from which a drone is on its way to the goal [m/s]."""
 _STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
 """Reason for which the planner stops the drone, by the status of the plan."""
 _MOVING = "hit a moving obstacle"
@@ -278,12 +280,24 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     if places := evidence.places:
         are = "place without progress is" if places == 1 else "places without progress are"
         sentences.append(f"{places} {are} remembered nearby.")
-    cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)])
+    approach = _approach(frames)
+    cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)], approach)
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
 
 
-def _stall_cause(outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array) -> str:
+def _approach(frames: list[Frame]) -> float:
+    """Return the mean speed at which the drone came nearer to its present goal in some frames [m/s]."""
+    goal = np.asarray(frames[-1].observation.goal.position)
+    first, last = (np.linalg.norm(goal - np.asarray(frames[i].observation.actual_state.position)) for i in (0, -1))
+    return float(first - last) / max(frames[-1].time - frames[0].time, 1e-9)
+
+
+def _stall_cause(
+    outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array, approach: float
+) -> str:
     name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
+    if approach > _APPROACH_MIN:
+        return f"{name}: coming nearer to the goal at {approach:.1f} m/s"
     if why := next((why for why, count in stops.items() if count > 0.5 * ticks), None):
         return f"{name}: {why}"
     if not any(row["safe"] for row in anchors):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aero_planner.output_files import open_alone
 from aero_viz.errors import UserError
 
 WriteRow = Callable[[float, ArrayLike, ArrayLike], None]
@@ -28,7 +29,7 @@ def trajectory_file(path: str | Path | None) -> Iterator[WriteRow]:
         return
     with _errors_named(path):
         # Without a buffer: closing the file on a full disk has nothing left to write.
-        file = open(path, "wb", buffering=0)  # noqa: SIM115 (closed below; opening has its own error)
+        file = open_alone(path, buffering=0)
     with file:
 
         def write(*cells: str) -> None:

@@ -17,6 +17,7 @@ from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
+from aero_planner.output_files import open_alone
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.session import Session
@@ -53,7 +54,7 @@ class FlightLog:
         self._sources = self._changes = 0
         self._failed = False
         try:
-            self._file = self.path.open("wb")
+            self._file = open_alone(self.path)
             self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
             self._writer.start(profile="ros2", library=f"aero-viz {importlib.metadata.version('aero-viz')}")
             self._flush()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Sweeps, VehicleState
-from aero_planner.onboard.ros_messages import Encoded, goal_message, plan_messages, pose_messages, sweep
+from aero_planner.onboard.ros_messages import Encoded, goal_message, plan_messages, pose_messages, sweep, wall_time
 from aero_planner.quaternions import conjugate, multiply, rotation_matrix, rotation_vector
 from aero_viz.session.frame import Frame
 
@@ -25,7 +23,7 @@ class FlightMessages:
     """
 
     def __init__(self) -> None:
-        self._base = self.stamp = time.time_ns()  # stamp of source time 0
+        self._base = self.stamp = round(1e9 * wall_time())  # stamp of source time 0
         """Stamp of the last frame [ns]."""
         self.last: Frame | None = None
         """The last frame."""

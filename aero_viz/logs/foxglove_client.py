@@ -14,6 +14,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from aero_planner.onboard.ros_messages import DEFINITIONS
+from aero_planner.user_file import parse_json
 
 _WAITING_MAX = 16 << 20  # [bytes]
 _SUBSCRIPTIONS_MAX = 1000
@@ -99,8 +100,8 @@ class FoxgloveClient:
 
     def _receive(self, text: str) -> None:
         """Carry out a request of the client; only subscriptions are accepted."""
-        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError, RecursionError):
-            request = json.loads(text)
+        with contextlib.suppress(ValueError, TypeError, KeyError, AttributeError):
+            request = parse_json(text)
             for number in request.get("subscriptionIds", ()):
                 self._subscriptions.pop(number, None)
             for item in request.get("subscriptions", ()):

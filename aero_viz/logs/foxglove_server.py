@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import functools
 import logging
 import secrets
 import threading
@@ -18,6 +19,7 @@ from websockets.exceptions import ConnectionClosed
 from aero_planner import VehicleState
 from aero_planner.onboard.ros_messages import Encoded
 from aero_viz.errors import UserError
+from aero_viz.guests import BACKLOG, GuestConnection, Guests, report_briefly
 from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.logs.foxglove_client import Channel, FoxgloveClient
 from aero_viz.session.base import BaseSession
@@ -28,7 +30,6 @@ if TYPE_CHECKING:
     from aero_viz.flight.single import FlightRecorders
 
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
-_CLIENTS_MAX = 64
 _REQUEST_MAX = 1 << 16  # [bytes]
 _REPORTS_MAX = 8
 _SILENCE_MAX = 60.0  # [s] until a slow client answers
@@ -66,7 +67,9 @@ class FoxgloveServer:
         self._clients: set[FoxgloveClient] = set()
         self._refusals: set[str] = set()
         self._session = secrets.token_hex(8)
+        self._guests = Guests(is_proxied=bool(allowed_hosts))
         self._loop = asyncio.new_event_loop()
+        report_briefly(self._loop)
         self._thread = threading.Thread(target=self._loop.run_forever, name="aero-viz-foxglove-server", daemon=True)
         self._thread.start()
         try:
@@ -105,6 +108,8 @@ class FoxgloveServer:
             subprotocols=[Subprotocol(name) for name in _SUBPROTOCOLS],
             process_request=self._admit,
             compression=None,
+            create_connection=functools.partial(GuestConnection, guests=self._guests),  # type: ignore[arg-type]
+            backlog=BACKLOG,
             ping_timeout=_SILENCE_MAX,
             max_size=_REQUEST_MAX,
             logger=quiet_logger(__name__),
@@ -122,7 +127,10 @@ class FoxgloveServer:
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         refusal = self._access.refusal(request.headers)
         if refusal is None:
-            return connection.respond(503, "Too many clients.\n") if len(self._clients) >= _CLIENTS_MAX else None
+            assert isinstance(connection, GuestConnection)
+            if "Upgrade" not in request.headers or self._guests.admit(connection, has_right=False):
+                return None
+            return connection.respond(503, "Too many clients.\n")
         if refusal not in self._refusals and len(self._refusals) < _REPORTS_MAX:
             self._refusals.add(refusal)
             hint = " If it is yours, add --foxglove-origin and its origin." if "origin" in refusal else ""

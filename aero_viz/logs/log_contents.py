@@ -8,7 +8,6 @@ imported on use: the planner takes a second.
 from __future__ import annotations
 
 import contextlib
-import json
 import math
 import os
 from collections.abc import Iterator
@@ -27,7 +26,7 @@ from rosbags.typesys.store import Typestore
 
 from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
 from aero_planner.plan import PlanStatus
-from aero_planner.user_file import open_user_file
+from aero_planner.user_file import open_user_file, parse_json
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
@@ -140,8 +139,8 @@ class LogContents:
 
     def _json(self, name: str) -> Any:
         try:
-            return json.loads(self.attachments.get(name, b"null"))
-        except (ValueError, RecursionError) as error:
+            return parse_json(self.attachments.get(name, b"null"))
+        except ValueError as error:
             raise UserError(f"{name} in {self.path} is damaged: {error}.") from error
 
 

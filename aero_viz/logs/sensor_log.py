@@ -24,6 +24,7 @@ from aero_planner.onboard.ros_messages import (
     pose_messages,
     sweep,
 )
+from aero_planner.output_files import open_alone
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector, slerp
 from aero_viz.errors import UserError
@@ -102,7 +103,7 @@ def write_sensor_log(
     )
     try:
         with contextlib.ExitStack() as stack:
-            file = stack.enter_context(Path(path).open("wb"))
+            file = stack.enter_context(open_alone(path))
             log = _SensorLog(Writer(file, compression=CompressionType.ZSTD), source, options, seed)
             source.simulator.observers.append(log.write_tick)
             vehicle: Any = source.simulator.vehicle

@@ -118,7 +118,7 @@ def convert(
         first = contents.first or 0
         window = Window.after(first, start, end)
         try:
-            with whole_file(target) as partial, partial.open("wb") as file:
+            with whole_file(target, alone=True) as partial, partial.open("wb") as file:
                 output = _Output(Writer(file, compression=CompressionType.ZSTD), decimate, first)
                 if recording is not None and has_new_poses(recording):
                     output.write_poses(NewPoses(recording, contents), window)

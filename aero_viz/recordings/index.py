@@ -7,6 +7,7 @@ import pickle
 from pathlib import Path
 from typing import Any
 
+from aero_viz.answers import Unpickler
 from aero_viz.recordings.bag_file import BagFile
 from aero_viz.recordings.contents import Contents, read_contents
 from aero_viz.recordings.opening import configure_recording
@@ -37,7 +38,7 @@ def open_indexed(
 
     Args:
         path: file or folder.
-        index: result of `index_recording` for it, from a trusted process.
+        index: result of `index_recording` for it.
         points_topic, pose_topic: see `open_recording`.
 
     Raises:
@@ -66,7 +67,7 @@ class _Pickler(pickle.Pickler):
         return self._storage.files.index(obj) if isinstance(obj, BagFile) else None
 
 
-class _Unpickler(pickle.Unpickler):
+class _Unpickler(Unpickler):
     def __init__(self, buffer: io.BytesIO, storage: Storage) -> None:
         super().__init__(buffer)
         self._storage = storage

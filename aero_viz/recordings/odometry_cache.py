@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from aero_planner.output_files import whole_file
+from aero_planner.user_file import open_user_file
 from aero_viz.recordings.odometry import Motion
 
 _VERSION = 5
@@ -36,7 +37,7 @@ def motion_key(files: Iterable[Path], *settings: object) -> str:
     for path in paths[:: -(-len(paths) // _FILES) or 1]:
         size = path.stat().st_size
         digest.update(str(size).encode())
-        with path.open("rb") as file:
+        with open_user_file(path) as file:
             if size <= _WHOLE:
                 digest.update(file.read())
                 continue

@@ -87,8 +87,8 @@ def load_ulog(path: Path, topics: list[str]) -> Any:
         raise UserError(
             f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
         ) from error
-    with _damage_reported(path):
-        return ULog(str(path), topics)
+    with _damage_reported(path), open_user_file(path) as file:
+        return ULog(file, topics)
 
 
 def _read_ulog(path: Path) -> PoseTable:

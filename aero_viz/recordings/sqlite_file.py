@@ -5,10 +5,9 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from urllib.parse import quote
 
-from aero_planner.user_file import open_user_file
-from aero_viz.input_limits import BLOCK_MAX, LimitExceeded, ReadingBudget
+from aero_viz.input_limits import LimitExceeded, ReadingBudget
+from aero_viz.plain_sqlite import connect_read_only, limit_time
 from aero_viz.recordings.bag_file import (
     HEAD_BYTES,
     ZSTD_MAGIC,
@@ -22,8 +21,6 @@ from aero_viz.recordings.bag_file import (
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 
-_STEPS = 10_000
-"""Instructions of SQLite's virtual machine between two checks of the clock."""
 _COLUMNS = {
     "topics": {"id", "name", "type", "serialization_format"},
     "messages": {"id", "topic_id", "timestamp", "data"},
@@ -39,23 +36,13 @@ class SqliteFile(BagFile):
 
     def __init__(self, path: Path):
         super().__init__(path)
-        with open_user_file(path) as file:
-            self._size = file.seek(0, 2)
-        # Without a write-ahead log nobody is writing; `immutable` then allows a read-only folder.
-        log = path.with_name(path.name + "-wal")
-        mode = "mode=ro" if log.exists() and log.stat().st_size else "mode=ro&immutable=1"
         # A session may play in another thread than the one that opened the file, but never in two at once.
-        self._database = sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True, check_same_thread=False)
-        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, BLOCK_MAX)
-        for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "mmap_size = 0", "temp_store = MEMORY"):
-            self._database.execute(f"PRAGMA {pragma}")
+        self._database = connect_read_only(path)
         self._start_budget()
 
     def _start_budget(self) -> ReadingBudget:
         """Give the following queries the time that the size of the file allows."""
-        budget = ReadingBudget(self._size, self.budget_share)
-        self._database.set_progress_handler(lambda: budget.is_late, _STEPS)
-        return budget
+        return limit_time(self._database, self.path, self.budget_share)
 
     def scan(self, types: Collection[str]) -> Iterator[Message]:
         budget = self._start_budget()

@@ -14,6 +14,7 @@ import yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
+from aero_viz.plain_yaml import compose_yaml
 from aero_viz.recordings.bag_file import BagFile, list_names, one_line
 from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file
@@ -44,7 +45,6 @@ _UNREAD = {
 """Starts of files that cannot be read, with their offsets and advice."""
 _START = 512
 """Number of bytes from which the format of a file is found."""
-_METADATA_DEPTH = 20
 _PARTS_MAX = 100_000
 _SUFFIXES = (".mcap", ".db3", ".bag", ".active", ".zstd", ".lvx2", ".osf", ".pcap")
 
@@ -198,7 +198,7 @@ def _open_folder(path: Path, choices: Choices) -> Storage:
     try:
         # The files may have been moved since they were recorded, so only their names count.
         names = list(dict.fromkeys(Path(name).name for name in _relative_paths(metadata)))
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UserError(
             f"{metadata} is damaged ({one_line(error)}): open the .mcap or .db3 file next to it instead."
         ) from error
@@ -217,18 +217,13 @@ def _relative_paths(metadata: Path) -> list[str]:
     meaning.
 
     Raises:
-        ValueError, yaml.YAMLError: it is too large, or no text of this form.
+        ValueError: it is too large, or no text of this form.
     """
     with open_user_file(metadata) as file:
         content = file.read(METADATA_MAX + 1)
     if len(content) > METADATA_MAX:
         raise ValueError(f"it is larger than {METADATA_MAX >> 20} MiB")
-    text, loader, depth = content.decode("utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader), 0
-    for event in yaml.parse(text, loader):  # composing nodes that are nested too deeply overflows libyaml's stack
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > _METADATA_DEPTH:
-            raise ValueError(f"it is nested more than {_METADATA_DEPTH} deep")
-    node = yaml.compose(text, loader)
+    node = compose_yaml(content.decode("utf-8"))
     for key in ("rosbag2_bagfile_information", "relative_file_paths"):
         entries = node.value if isinstance(node, yaml.MappingNode) else ()
         node = next((value for name, value in entries if name.value == key), None)

@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Sequence
 
+from aero_planner.plain_text import say
 from aero_viz.rig.px4_log import Px4LogSummary
 from aero_viz.rig.result import RigResult
 
@@ -103,11 +104,11 @@ def _fly(options: argparse.Namespace) -> int:
             progress=None if options.json else print,
         )
         if options.json:
-            print(json.dumps(result.to_dict(), allow_nan=False), flush=True)
+            say(json.dumps(result.to_dict(), allow_nan=False), flush=True)
         else:
-            print(format_result(result), flush=True)
+            say(format_result(result), flush=True)
             if not result.arrived:
-                print("last lines of the node's log:", *result.log[-20:], sep="\n    ", file=sys.stderr)
+                say("last lines of the node's log:", *result.log[-20:], sep="\n    ", file=sys.stderr)
     return 0
 
 

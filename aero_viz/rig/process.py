@@ -6,16 +6,16 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
+from aero_planner.import_path import child_environment, module_command
 from aero_planner.onboard.settings import OnboardConfig, format_onboard
 
-_NODE_COMMAND = (sys.executable, "-m", "aero_planner", "run", "--config", "{config}")  # as on the drone
+_NODE_COMMAND = module_command("aero_planner", "run", "--config", "{config}")  # as on the drone
 
 
 class NodeProcess:
@@ -46,7 +46,7 @@ class NodeProcess:
 
     def start(self) -> None:
         """Start the process; it may be started again after it has ended."""
-        environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
+        environment = child_environment(PYTHONUNBUFFERED="1")
         with self._log_file.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, env=environment

@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
@@ -46,9 +51,23 @@ def check_count(declared: int, present: int, noun: str = "points") -> None:
         raise ValueError(f"it has {declared} {noun}, and at most {MAP_POINTS_MAX} can be used: thin it out")
 
 
+def load_rows(lines: Iterable[bytes] | TextIO, columns: Sequence[int], **options: Any) -> NDArray[np.float64]:
+    """Return the columns of numbers in a text [n, columns], with further options of `np.loadtxt`.
+
+    Raises:
+        ValueError: a row has too few columns, or something else than numbers.
+    """
+    try:
+        return np.loadtxt(lines, usecols=columns, ndmin=2, **options)
+    except ValueError as error:
+        row = re.search(r"row (\d+)", str(error))
+        where = f"row {row[1]}" if row else "a row"
+        raise ValueError(f"it is damaged or truncated: {where} does not have {len(columns)} numbers there") from error
+
+
 def read_header(path: Path, pattern: bytes, problem: str) -> tuple[bytes, int]:
     """Return the header of a file and the number of bytes after it; raises ValueError(problem) if there is none."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         found = re.match(pattern, file.read(_HEADER_MAX))
     if found is None:
         raise ValueError(problem)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.plain_text import has_own_words, one_line
 from aero_viz.errors import UserError
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.scenes.las import LasUnits
@@ -114,6 +115,6 @@ def _one_sentence() -> Iterator[None]:
     except OSError as error:
         raise UserError(error.strerror or str(error)) from error
     except Exception as error:
-        text = "".join(letter if letter.isprintable() else "?" for letter in " ".join(str(error).split())[:300])
-        is_ours = type(error) is ValueError and text
-        raise UserError(text if is_ours else f"its data are damaged ({type(error).__name__}: {text})") from error
+        if type(error) is ValueError and has_own_words(error):
+            raise UserError(one_line(error)[:300]) from error
+        raise UserError("its data are damaged, or are not what its name says") from error

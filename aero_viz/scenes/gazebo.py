@@ -14,6 +14,7 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import read_user_bytes
 from aero_viz.input_limits import SDF_DEPTH_MAX, SDF_SOLIDS_MAX, TEXT_MAX
 from aero_viz.scenes.solids import Pose, Solids
 
@@ -78,7 +79,7 @@ def _parse(path: Path) -> Element:
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
-        parser.Parse(path.read_bytes(), True)
+        parser.Parse(read_user_bytes(path, limit=TEXT_MAX), True)
     except expat.ExpatError as error:
         raise ValueError(f"it is not XML: {expat.ErrorString(error.code)} in line {error.lineno}") from error
     return builder.close()

@@ -10,12 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count
 from aero_viz.scenes.epsg_units import FOOT, US_FOOT, unit_of_heights, unit_of_system
 
 _CHUNK = 1_000_000  # points decoded at once
-_HEADER_MAX = 375  # [bytes]
+_HEADER_MIN, _HEADER_MAX = 227, 375  # [bytes]
 _LENGTHS = {9001: 1.0, 9002: FOOT, 9003: US_FOOT}
 """GeoTIFF codes of linear units [m]."""
 _HORIZONTAL_KEY, _VERTICAL_KEY = 3076, 4099
@@ -66,7 +67,7 @@ def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     import laspy
 
     _check_header(path)
-    with laspy.open(path) as reader:
+    with laspy.open(open_user_file(path)) as reader:
         declared, units, present = reader.header.point_count, _units(reader.header), 0
         time = time_field({row.name: row.type_str() or "" for row in reader.header.point_format})
         parts, times = [np.zeros((0, 3))], []
@@ -93,17 +94,19 @@ def read_las_units(path: Path) -> LasUnits:
     import laspy
 
     _check_header(path)
-    with laspy.open(path) as reader:
+    with laspy.open(open_user_file(path)) as reader:
         return _units(reader.header)
 
 
 def _check_header(path: Path) -> None:
     """Raise ValueError if the counts and offsets of a header do not fit the file."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         header = file.read(_HEADER_MAX).ljust(_HEADER_MAX, b"\0")
+        size = file.seek(0, 2)
     if header[:4] != b"LASF":
         raise ValueError("it does not start with LASF")
-    size = path.stat().st_size
+    if size < _HEADER_MIN:
+        raise ValueError(f"it is truncated: its header has {size} bytes of at least {_HEADER_MIN}")
     first_point, records = struct.unpack_from("<II", header, 96)
     extended_records = struct.unpack_from("<I", header, 243)[0] if header[25] >= 4 else 0
     # laspy would read billions of empty variable-length records beyond the end of the file.
@@ -118,7 +121,7 @@ def _check_header(path: Path) -> None:
 
 def _check_laz_chunks(path: Path, first_point: int, size: int) -> None:
     """Refuse a chunk table that does not fit into a LAZ file: lazrs aborts the process if it cannot allocate it."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         file.seek(first_point)
         table = struct.unpack("<q", file.read(8))[0]
         if table == -1:  # written at the end by a writer that could not seek

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 from aero_viz.scenes.las import read_las
@@ -67,7 +68,7 @@ def decode_points(path: Path, suffix: str | None = None) -> tuple[Points, Times 
 
 
 def _read_npy(path: Path) -> tuple[Points, Times | None]:
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         version = np.lib.format.read_magic(file)
         length = int.from_bytes(file.read(2 if version == (1, 0) else 4), "little")
         if version not in ((1, 0), (2, 0), (3, 0)) or length > min(path.stat().st_size, _NPY_HEADER_MAX):

@@ -95,8 +95,8 @@ def _read_map(path: str | Path, voxel: float | None, table: Array) -> tuple[Arra
     if table.shape[1] == 9:
         if voxel is not None:
             raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
+        _check_span(table.reshape(-1, 3), path)
         points = _sample(table)
-        _check_span(points, path)
         return points, {"triangles": table}
     _check_span(table, path)
     edge = VOXEL if voxel is None else voxel
@@ -143,13 +143,15 @@ def _position(value: ArrayLike, name: str) -> Array:
 def _check_span(points: Array, path: str | Path) -> None:
     """Refuse a map that is wider than any flight, which a single stray point can make of it."""
     lower, upper = points.min(axis=0), points.max(axis=0)
-    axis = int(np.argmax(upper - lower))
-    if upper[axis] - lower[axis] <= MAP_SPAN_MAX:
+    with np.errstate(over="ignore"):
+        span = upper - lower
+    axis = int(np.argmax(span))
+    if span[axis] <= MAP_SPAN_MAX:
         return
     middle = np.median(points[:, axis])
     stray = int((np.abs(points[:, axis] - middle) > 0.5 * MAP_SPAN_MAX).sum())
     raise UserError(
-        f"The map {path} spans {(upper[axis] - lower[axis]) / 1e3:.4g} km along {'xyz'[axis]}, and at most "
+        f"The map {path} spans {span[axis] / 1e3:.4g} km along {'xyz'[axis]}, and at most "
         f"{MAP_SPAN_MAX / 1e3:g} km can be used: crop it; {stray} of its {len(points)} points lie more than "
         f"{0.5 * MAP_SPAN_MAX / 1e3:g} km from the middle."
     )

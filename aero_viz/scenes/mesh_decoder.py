@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import read_user_bytes
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 
 
@@ -30,7 +31,7 @@ def read_triangles(path: Path) -> NDArray[np.float64]:
     """Return the triangles of a file [n, 9] [m] without degenerate ones; raises an exception where it is damaged."""
     import trimesh
 
-    content, suffix = path.read_bytes(), path.suffix.lower()
+    content, suffix = read_user_bytes(path), path.suffix.lower()
     least = _CHECKS[suffix](content, path)
     resolver: Any = _NoOtherFiles()
     mesh: Any = trimesh.load(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.user_file import read_user_text
+from aero_planner.user_file import open_companion, open_user_file, read_user_text
 from aero_viz.input_limits import IMAGE_PIXELS_MAX, METADATA_MAX
+from aero_viz.plain_yaml import plain_values
 from aero_viz.scenes.solids import Solids
 
 IMAGE_SUFFIXES = (".png", ".pgm")
@@ -59,36 +60,34 @@ def read_occupancy(path: Path, pixel: float | None = None) -> Solids:
     return solids
 
 
-def _settings(path: Path) -> tuple[dict[str, Any], Path]:
-    """Return the settings, completed by defaults, and the path of the image."""
-    import yaml
-
+def _settings(path: Path) -> tuple[dict[str, Any], BinaryIO]:
+    """Return the settings, completed by defaults, and the image."""
     is_image = path.suffix.lower() in IMAGE_SUFFIXES
     found = [path.with_suffix(suffix) for suffix in (".yaml", ".yml")] if is_image else [path]
     file = next((candidate for candidate in found if candidate.is_file()), None)
     if file is None:
         if not is_image:
             raise FileNotFoundError(2, "No such file or directory")
-        return dict(_DEFAULTS), path
+        return dict(_DEFAULTS), open_user_file(path)
     try:
-        content = yaml.safe_load(read_user_text(file, limit=METADATA_MAX))
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(f"{file.name} is not YAML: {' '.join(str(error).split())[:200]}") from error
-    if not isinstance(content, dict) or not isinstance(content.get("image"), str):
+        content = plain_values(read_user_text(file, limit=METADATA_MAX), ("image", *_DEFAULTS))
+    except ValueError as error:
+        raise ValueError(f"{file.name} is {error}") from error
+    if not isinstance(content.get("image"), str):
         if is_image:  # it belongs to something else
-            return dict(_DEFAULTS), path
+            return dict(_DEFAULTS), open_user_file(path)
         raise ValueError("it is not a map of ROS: the key image with the name of a PNG or PGM file is missing")
-    image = path if is_image else file.parent / content["image"]
-    if image.suffix.lower() not in IMAGE_SUFFIXES:
-        raise ValueError(f"it names the image {content['image'][:60]!r}; it must be a PNG or PGM file")
-    return {**_DEFAULTS, **{key: content[key] for key in _DEFAULTS if key in content}}, image
+    name = content.pop("image")
+    if Path(name).suffix.lower() not in IMAGE_SUFFIXES:
+        raise ValueError(f"it names the image {name[:60]!r}; it must be a PNG or PGM file")
+    return {**_DEFAULTS, **content}, open_user_file(path) if is_image else open_companion(file, name)
 
 
-def _occupied(path: Path, threshold: float, negate: bool) -> NDArray[np.bool_]:
-    """Return the occupied pixels [rows, columns], the lowest row first."""
+def _occupied(file: BinaryIO, threshold: float, negate: bool) -> NDArray[np.bool_]:
+    """Return the occupied pixels of an image [rows, columns], the lowest row first."""
     from PIL import Image
 
-    with Image.open(path, formats=("PNG", "PPM")) as image:
+    with file, Image.open(file, formats=("PNG", "PPM")) as image:
         if image.width * image.height > IMAGE_PIXELS_MAX:
             raise ValueError(f"it has {image.width} x {image.height} pixels, and at most {IMAGE_PIXELS_MAX} are read")
         table = np.asarray(image.convert("RGBA"), dtype=np.float32)[::-1]

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file, read_user_bytes
 from aero_viz.point_times import time_field
-from aero_viz.scenes.decoder_checks import check_count, read_header
+from aero_viz.scenes.decoder_checks import check_count, load_rows, read_header
 
 Points = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def read_pcd(path: Path) -> tuple[Points, NDArray[Any] | None]:
     if data == "ascii":
         columns = [sum(counts[:i]) for i in used]
         check_count(points, (size + 1) // (2 * sum(counts)))  # a digit and a space for each value
-        table: NDArray[Any] = np.loadtxt(path, skiprows=header.count(b"\n"), usecols=columns, max_rows=points, ndmin=2)
+        table: NDArray[Any] = load_rows(_lines(path, header.count(b"\n")), columns, max_rows=points)
         check_count(points, len(table))
         last = next(islice(_lines(path, header.count(b"\n")), points - 1, None), b"")
         if len(last.split()) < sum(counts):
@@ -60,7 +61,7 @@ def read_pcd(path: Path) -> tuple[Points, NDArray[Any] | None]:
     names = record.names or ()
     if data == "binary":
         check_count(points, size // record.itemsize)
-    content = path.read_bytes()[len(header) :]
+    content = read_user_bytes(path)[len(header) :]
     if data == "binary":
         table = np.frombuffer(content, record, points)
         columns = [table[names[i]][:, 0] for i in used]
@@ -141,7 +142,7 @@ def _record(length: int, sizes: list[str], types: list[str], counts: list[str]) 
 
 def _lines(path: Path, skipped: int) -> Iterator[bytes]:
     """Yield the lines of a file after the first ones."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         yield from islice(file, skipped, None)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import open_user_file
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
 
@@ -34,7 +35,7 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
         first = sum(count * len(kind.names or ()) for count, (_, kind) in zip(skipped, before, strict=True))
         width = len(record.names or ())
         check_count(vertices, (size + 1) // 2 // max(width, 1))  # a digit and a space for each value
-        with path.open("rb") as file:
+        with open_user_file(path) as file:
             file.seek(len(header))
             values = np.fromfile(file, np.float64, first + vertices * width, sep=" ")
         check_count(vertices, max(len(values) - first, 0) // max(width, 1))
@@ -42,7 +43,8 @@ def read_ply(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     else:
         first = sum(count * kind.itemsize for count, (_, kind) in zip(skipped, before, strict=True))
         check_count(vertices, max(size - first, 0) // max(record.itemsize, 1))
-        table = np.fromfile(path, record, vertices, offset=len(header) + first)
+        with open_user_file(path) as file:
+            table = np.fromfile(file, record, vertices, offset=len(header) + first)
     plain = {name.lower(): name for name in record.names or ()}
     if missing := [axis for axis in "xyz" if axis not in plain]:
         raise ValueError(f"it has no property {missing[0]} among {', '.join(plain)[:100]}")

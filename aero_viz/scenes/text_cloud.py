@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import re
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from aero_planner.user_file import open_user_file
 from aero_viz.input_limits import MAP_POINTS_MAX
 from aero_viz.point_times import time_field
-from aero_viz.scenes.decoder_checks import check_count
+from aero_viz.scenes.decoder_checks import check_count, load_rows
 
 TEXT_SUFFIXES = (".xyz", ".xyzn", ".xyzrgb", ".pts", ".asc", ".csv", ".txt")
 _HEAD = 1 << 16
@@ -113,9 +114,9 @@ def read_text(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     time = time_field(formats) if layout.names else None
     columns = [*layout.columns, *([layout.names.index(time)] if time else [])]
     longest = path.stat().st_size // len("0 0 0\n") + 1
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        table = np.loadtxt(
-            _rows(file, layout), usecols=columns, ndmin=2, comments=list(_COMMENTS), delimiter=layout.separator,
+    with io.TextIOWrapper(open_user_file(path), encoding="utf-8-sig", errors="replace") as file:
+        table = load_rows(
+            _rows(file, layout), columns, comments=list(_COMMENTS), delimiter=layout.separator,
             max_rows=min(longest, MAP_POINTS_MAX) + 1,  # NumPy allocates memory for this many rows
         )  # fmt: skip
     check_count(len(table) if layout.declared is None else layout.declared, len(table))
@@ -186,7 +187,7 @@ def _coordinates(names: tuple[str, ...]) -> tuple[tuple[int, int, int], float]:
 
 def _check_last_line(path: Path, layout: TextLayout) -> None:
     """Refuse a table of numbers whose last row has fewer columns than the one before."""
-    with path.open("rb") as file:
+    with open_user_file(path) as file:
         file.seek(max(file.seek(0, 2) - 4096, 0))
         lines = file.read().decode("utf-8", errors="replace").splitlines()[1:]
     rows = [_split(line, layout.separator) for line in lines if line.strip()]

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.output_files import whole_file
 from aero_planner.parameters import did_you_mean
-from aero_planner.user_file import read_user_text
+from aero_planner.user_file import parse_json, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 from aero_viz.scenes.motion import check_motion, displacements
@@ -125,17 +126,15 @@ class World:
             UserError: the file cannot be read or does not describe a world. The message names file, key and row.
         """
         try:
-            return cls.from_dict(json.loads(read_user_text(path, limit=TEXT_MAX), object_pairs_hook=_object))
+            return cls.from_dict(parse_json(read_user_text(path, limit=TEXT_MAX), _object))
         except FileNotFoundError as error:
             raise UserError(f"There is no file {path}.") from error
         except OSError as error:
             raise UserError(f"Cannot read the world {path}: {error.strerror or error}.") from error
         except UnicodeDecodeError as error:
             raise UserError(f"{path} is not a world: it is not UTF-8 text.") from error
-        except json.JSONDecodeError as error:
-            raise UserError(f"{path} is not JSON: {error.msg} in line {error.lineno}, column {error.colno}.") from error
-        except (ValueError, RecursionError) as error:
-            raise UserError(f"{path} is not a world: {error}") from error
+        except ValueError as error:
+            raise UserError(f"{path} is not a world: {str(error).rstrip('.')}.") from error
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of the JSON file; "bounds" only where they differ from the derived ones."""
@@ -164,7 +163,8 @@ class World:
             UserError: the file cannot be written.
         """
         try:
-            Path(path).write_text(self.to_json(), encoding="utf-8")
+            with whole_file(Path(path), alone=True) as partial:
+                partial.write_text(self.to_json(), encoding="utf-8")
         except OSError as error:
             raise UserError(f"Cannot write the world {path}: {error.strerror or error}.") from error
 

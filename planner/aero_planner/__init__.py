@@ -1,6 +1,11 @@
 """AERO-MPPI: an anchor-guided ensemble of MPPI optimizers for LiDAR quadrotors, in NVIDIA Warp."""
 
-from __future__ import annotations
+import sys
+
+from aero_planner.import_path import leave_current_folder
+
+if getattr(sys, "argv", None) and sys.argv[0] == "-m":  # "python -m" is looking for a module of this package
+    leave_current_folder()
 
 from typing import TYPE_CHECKING
 

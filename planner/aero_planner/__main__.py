@@ -4,6 +4,9 @@
 def main() -> int:
     """Run the command line and return its exit code: 130 after Ctrl-C, also while the command line is imported."""
     try:
+        from aero_planner.import_path import leave_current_folder
+
+        leave_current_folder()
         from aero_planner.cli import main as run
 
         return run()

@@ -19,6 +19,7 @@ from aero_planner.cli_util import run_command
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.forest_cloud import forest_flight
+from aero_planner.plain_text import say
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.sweeps import Arrival, Sweeps, as_constant
@@ -208,9 +209,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             repeat=options.repeat,
         )  # fmt: skip
     except ValueError as error:
-        print(error, file=sys.stderr)
+        say(error, file=sys.stderr)
         return 2
-    print(json.dumps({"preset": options.preset, **result}) if options.json else _format_report(result, options.preset))
+    say(json.dumps({"preset": options.preset, **result}) if options.json else _format_report(result, options.preset))
     return 0
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version, quick_imports
+from aero_planner.plain_text import in_own_words, one_line, say
 from aero_planner.termination import install_handler
 
 if TYPE_CHECKING:
@@ -66,7 +67,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return abandon_output()
         if os.environ.get("AERO_PLANNER_DEBUG"):
             raise
-        print(f"aero-planner: {' '.join(str(error).split())}", file=sys.stderr)
+        text = in_own_words(error) if isinstance(error, ValueError) else str(error)
+        say(f"aero-planner: {one_line(text)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -166,7 +168,7 @@ def _show(options: argparse.Namespace) -> int:
     from aero_planner.onboard.settings import format_onboard
 
     planner, onboard = _load_configs(options)
-    print(f"{format_config(planner)}\n{format_onboard(onboard)}", end="")
+    say(f"{format_config(planner)}\n{format_onboard(onboard)}", end="")
     return 0
 
 
@@ -174,7 +176,7 @@ def _validate(options: argparse.Namespace) -> int:
     from aero_planner.onboard.flight_config import load_any_checked
 
     load_any_checked(options.file)
-    print(f"{options.file} is valid")
+    say(f"{options.file} is valid")
     return 0
 
 
@@ -196,15 +198,15 @@ def _preflight(options: argparse.Namespace) -> int:
             planner, onboard, device=options.device, goal=options.goal, log=options.log, listen=options.listen,
             bundle=bundle, confirm=_confirm_changes if options.set else None,
         )  # fmt: skip
-    print(json.dumps(report.to_dict()) if options.json else report.format_table())
+    say(json.dumps(report.to_dict()) if options.json else report.format_table())
     return 0 if report.passed else 2
 
 
 def _confirm_changes(changes: Sequence[ParameterChange]) -> bool:
     """Ask on the terminal whether to write parameters of the autopilot."""
     for change in changes:
-        print(f"{change.name}: {change.before:g} -> {change.value:g}", file=sys.stderr)
-    print("Write these parameters to the autopilot? [y/N] ", end="", file=sys.stderr, flush=True)
+        say(f"{change.name}: {change.before:g} -> {change.value:g}", file=sys.stderr)
+    say("Write these parameters to the autopilot? [y/N] ", end="", file=sys.stderr, flush=True)
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
@@ -216,7 +218,7 @@ def _export(options: argparse.Namespace) -> int:
     summary = write_bundle(
         options.out, config=options.config, architectures=options.arch, cpu=options.cpu, overwrite=options.overwrite
     )
-    print(summary)
+    say(summary)
     return 0
 
 
@@ -268,7 +270,7 @@ def _run(options: argparse.Namespace) -> int:
             log=options.log, bundle=bundle,
         )  # fmt: skip
     if options.json:
-        print(json.dumps(statistics, allow_nan=False))
+        say(json.dumps(statistics, allow_nan=False))
     if not has_ended:
         # A thread that hangs, for example in a driver, would keep the process alive.
         import logging

@@ -8,6 +8,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 
+from aero_planner.plain_text import say
 from aero_planner.termination import install_handler
 
 INTERRUPTED = 130
@@ -60,6 +61,6 @@ def run_command(command: Callable[[Sequence[str] | None], int]) -> None:
     except KeyboardInterrupt:
         code = INTERRUPTED
     except (ValueError, OSError) as error:
-        print(error, file=sys.stderr)
+        say(error, file=sys.stderr)
         code = 2
     sys.exit(code)

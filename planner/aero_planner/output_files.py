@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import stat
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 
 def check_output_files(
@@ -69,15 +72,57 @@ def check_folder(path: Path) -> None:
 
 
 @contextlib.contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def whole_file(path: Path, *, alone: bool = False) -> Iterator[Path]:
     """Yield a file to write, which replaces `path` at the end unless something fails.
 
+    A link stays, and what it leads to is replaced. A device or a pipe is yielded itself.
+
+    Args:
+        path: the file.
+        alone: True refuses a file that another program is writing; otherwise the one that ends last replaces it.
+
     Raises:
-        OSError: the file cannot be replaced, or what the caller raises.
+        OSError: the file cannot be replaced, another program is writing it, or what the caller raises.
     """
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    path = Path(os.path.realpath(path))
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    partial = path.with_name(f".{path.stem}.{'' if alone else f'{os.getpid()}.'}partial{path.suffix}")
+    with open_alone(partial) if alone else contextlib.nullcontext():
+        try:
+            yield partial
+            os.replace(partial, path)
+        finally:
+            partial.unlink(missing_ok=True)
+
+
+def open_alone(path: str | os.PathLike[str], *, buffering: int = -1) -> BinaryIO:
+    """Open a file to write, from its start, that no other program writes through this function.
+
+    Raises:
+        OSError: the file cannot be opened, or another program is writing it.
+    """
+    file = open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb", buffering=buffering)  # noqa: SIM115 (given to the caller)
     try:
-        yield partial
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
+        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            _lock(file, path)
+            file.truncate(0)
+        return file
+    except BaseException:
+        file.close()
+        raise
+
+
+def _lock(file: BinaryIO, path: str | os.PathLike[str]) -> None:
+    """Lock a file until it is closed, where the system can."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OSError(errno.EBUSY, "another program is writing it; choose another file", str(path)) from error
+    except OSError:  # a file system without locks
+        pass

@@ -7,7 +7,7 @@ import subprocess
 import sys
 
 import pytest
-from command_line import run, run_refused, terminal_text
+from command_line import run, run_refused
 
 from aero_viz.cli import main
 from aero_viz.cli.commands import COMMANDS
@@ -84,11 +84,16 @@ def test_a_mistake_is_reported_in_one_line(capsys: pytest.CaptureFixture[str], a
         (["export"], ["Missing", "OUT[.tar]", "aero-viz export --help"]),
     ],
 )
-def test_a_mistake_in_a_flag_is_reported_by_tyro(
+def test_a_mistake_in_a_flag_is_reported_in_one_line(
     capsys: pytest.CaptureFixture[str], arguments: list[str], messages: list[str]
 ):
-    error = terminal_text(run_refused(capsys, *arguments))
-    assert all(message in error for message in messages), error
+    error = run_refused(capsys, *arguments)
+    assert all(message in error for message in messages) and error.count("\n") == 1, error
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]):
+    code, text, _ = run(capsys, "--version")
+    assert code == 0 and text.startswith("aero-viz ") and "aero-planner " in text
 
 
 def test_the_list_of_commands_quotes_their_docstrings(capsys: pytest.CaptureFixture[str]):

@@ -16,7 +16,9 @@ def test_the_page_names_the_command_without_the_flags_of_the_file(
     arguments = ["share", poles, "./out.html", "--duration=0.1", "--layers", "drone", "--overwrite", "--seed", "3"]
     monkeypatch.setattr("sys.argv", ["aero-viz", *arguments])
     assert run(capsys, *arguments)[0] == 0
-    command = re.search(r"<code>(.*?)</code>", Path("out.html").read_text(encoding="utf-8"))
+    page = Path("out.html").read_text(encoding="utf-8")
+    assert page.index("The MIT License") < page.index("<title>")
+    command = re.search(r"<code>(.*?)</code>", page)
     assert command is not None and command[1] == f"aero-viz demo {poles} --seed 3"
 
 

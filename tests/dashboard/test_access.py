@@ -32,5 +32,7 @@ def test_a_foreign_name_does_not_get_the_files_of_the_page(server: LocalServer):
         answer = connection.getresponse()
         assert answer.status == status
         assert answer.headers["X-Frame-Options"] == "DENY"
+        policy = answer.headers["Content-Security-Policy"]
+        assert "default-src 'self'" in policy and "http" not in policy and "*" not in policy
         assert "Access-Control-Allow-Origin" not in answer.headers
         connection.close()

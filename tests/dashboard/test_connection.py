@@ -227,7 +227,7 @@ def test_a_message_that_is_sent_just_before_the_server_waits_is_not_forgotten(se
 
 
 def test_no_more_pages_are_open_at_once_than_there_is_room_for(server, client, monkeypatch):
-    monkeypatch.setattr("aero_viz.dashboard.server.CLIENTS_MAX", 2)
+    monkeypatch.setattr(server.guests, "clients_max", 2)
     with join(server):
         wait_for(lambda: len(server._websock_server._live_connections) == 2, "the second page")
         with pytest.raises(InvalidStatus, match="503"):

@@ -10,16 +10,17 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from PIL import Image
 from small_source import small_config, small_source
 
-from aero_viz.catalog import open_source, shipped_recordings
+from aero_viz.catalog import load_world, open_source, shipped_recordings
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.links import Link, Opening
 from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
-from aero_viz.reader_process import Reader, read_here
+from aero_viz.reader_process import Reader, ReaderProcess, read_here
 from aero_viz.scenes import World
 from aero_viz.session import Session
 from aero_viz.session.source import Conditions, Source
@@ -273,6 +274,37 @@ def test_links_do_not_lead_out_of_the_folders(folder):
     ):
         with pytest.raises(UserError, match="There is no file"):
             folders.find(name)
+
+
+@pytest.mark.parametrize("place", ["data", "data/velodyne"])
+def test_links_below_the_first_level_do_not_lead_out(folder, place):
+    (bag := folder / "bag").mkdir()
+    (bag / "flight.mcap").write_bytes(b"")
+    (bag / place).mkdir(parents=True)
+    (bag / "around").symlink_to(bag)  # a circle ends
+    assert Folders([folder]).find("bag") == bag.resolve()
+    (bag / place / "000000.bin").symlink_to(folder.parent / "closed" / "poles.json")
+    with pytest.raises(UserError, match="There is no file bag"):
+        Folders([folder]).find("bag")
+
+
+def test_a_folder_in_the_place_of_a_file_makes_no_recording(folder):
+    (folder / "bag" / "metadata.yaml").mkdir(parents=True)
+    with pytest.raises(UserError, match="is a folder without a recording"):
+        Folders([folder]).find("bag")
+
+
+def test_a_companion_that_leads_out_is_not_read(folder):
+    """The page may open the image, and the link beside it looks like its settings."""
+    closed = folder.parent / "closed"
+    (closed / "maze.yaml").write_text("image: maze.png\nresolution: secret\n")
+    Image.new("L", (40, 40), 255).save(folder / "maze.png")
+    (folder / "maze.yaml").symlink_to(closed / "maze.yaml")
+    read = ReaderProcess(folders=[folder])
+    with pytest.raises(UserError, match="no such file in the folders that may be read"):
+        read(load_world, str(folder / "maze.png"))
+    (folder / "maze.yaml").unlink()
+    assert len(read(load_world, str(folder / "maze.png")).boxes) > 0
 
 
 def test_a_folder_that_is_itself_a_link_is_open(folder):

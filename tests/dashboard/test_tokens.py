@@ -84,6 +84,23 @@ def test_a_link_moves_its_token_to_a_cookie_that_opens_page_and_websocket(public
         assert public.visitors.may_control(number) is not view_only
 
 
+@pytest.mark.parametrize(
+    ("headers", "is_secure"),
+    [
+        ({}, False),
+        ({"X-Forwarded-Proto": "http"}, False),
+        ({"X-Forwarded-Proto": "https"}, True),
+        ({"X-Forwarded-Proto": "https, http"}, True),
+        ({"Forwarded": "for=192.0.2.7;proto=https"}, True),
+        ({"Sec-Fetch-Site": "none"}, False),  # of this machine
+        ({"Sec-Fetch-Site": "none", "Host": "192.0.2.7"}, True),
+    ],
+)
+def test_behind_tls_a_cookie_is_sent_through_nothing_else(public: LocalServer, headers, is_secure):
+    answer = get(public, query(public), headers)
+    assert answer.status == 303 and ("Secure" in answer.headers["Set-Cookie"].split("; ")) is is_secure
+
+
 def test_a_cookie_does_not_help_a_link_with_a_wrong_token_nor_another_server(public: LocalServer):
     cookie = cookie_of(get(public, query(public)))
     assert get(public, "/?token=guess", cookie).status == 401

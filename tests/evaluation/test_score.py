@@ -7,7 +7,7 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
-from aero_viz.evaluation.score import Trajectory, load_trajectory, score
+from aero_viz.evaluation.score import Trajectory, load_trajectory, other_world, score
 from aero_viz.flight import FlightResult, FlightRules, fly
 from aero_viz.logs import flight_recorder
 from aero_viz.scenes import World, scene
@@ -186,3 +186,14 @@ def test_recordings_without_poses(tmp_path):
         load_trajectory(tmp_path / "empty.mcap")
     with pytest.raises(UserError, match="does not exist"):
         load_trajectory(Path("/nowhere/flight.mcap"))
+
+
+def test_the_log_of_another_world_is_noticed(tmp_path: Path):
+    rules = FlightRules(time_limit=0.1)
+    fly(OPEN, config=CONFIG, lidar=LIDAR, rules=rules, recorder=flight_recorder(tmp_path / "flight.mcap"))
+    assert other_world(tmp_path / "flight.mcap", OPEN) is None
+    moved = dataclasses.replace(OPEN, goal=OPEN.goal + 1.0, name="elsewhere")
+    text = other_world(tmp_path / "flight.mcap", moved)
+    assert text is not None and "is scored in 'elsewhere'" in text and "differ in their goal" in text
+    (tmp_path / "flight.csv").write_text("t,x,y,z\n0,0,0,0\n")
+    assert other_world(tmp_path / "flight.csv", moved) is None

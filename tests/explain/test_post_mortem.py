@@ -245,3 +245,11 @@ def test_a_start_in_the_centre_of_an_obstacle_is_explained(solid: dict[str, Any]
     world = World.from_dict({"name": "buried", "start": [0, 0, 2], "goal": [20, 0, 2], **solid})
     _, _, report, _ = flown(world)
     assert report.outcome == "collision" and report.obstacle in str(report.format_table())
+
+
+def test_a_flight_that_was_on_its_way_is_not_blamed_for_standing_still():
+    world = world_of([30.0, 0.0, 2.0], [10.0, 9.0, 1.0, 1.0, 1.0, 2.0, 0.0])
+    _, _, report, _ = flown(world, rules=FlightRules(time_limit=3.0))
+    assert report.outcome == "timeout" and re.match(
+        r"out of time: coming nearer to the goal at \d\.\d m/s", report.cause
+    )

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from aero_planner.output_files import check_folder, check_output_files, whole_file
+from aero_planner.output_files import check_folder, check_output_files, open_alone, whole_file
 
 
 @pytest.fixture
@@ -49,3 +49,40 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path):
             partial.write_text("second")
             raise error
     assert path.read_text() == "first" and os.listdir(tmp_path) == ["out.txt"]
+
+
+def test_two_programs_do_not_write_one_file(tmp_path: Path):
+    path = tmp_path / "flight.mcap"
+    path.write_bytes(b"old and long")
+    with open_alone(path) as file:
+        file.write(b"first")
+        file.flush()
+        with pytest.raises(OSError, match="another program is writing it"):
+            open_alone(path)
+    assert path.read_bytes() == b"first"
+    with open_alone(path) as file:
+        file.write(b"2nd")
+    assert path.read_bytes() == b"2nd"
+    with open_alone("/dev/null") as one, open_alone("/dev/null") as two:
+        assert one.write(b"a") == two.write(b"a") == 1
+
+
+def test_a_whole_file_is_written_by_one_program(tmp_path: Path):
+    path = tmp_path / "out.txt"
+    (tmp_path / ".out.partial.txt").write_text("of a program that was killed")
+    with whole_file(path, alone=True) as partial:
+        partial.write_text("mine")
+        with pytest.raises(OSError, match="another program is writing it"), whole_file(path, alone=True):
+            pass
+    assert path.read_text() == "mine" and [file.name for file in tmp_path.iterdir()] == ["out.txt"]
+
+
+def test_a_link_stays_and_a_device_is_written_itself(tmp_path: Path):
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to("real.txt")
+    with whole_file(tmp_path / "link.txt") as partial:
+        partial.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_text() == "new"
+    (tmp_path / "null").symlink_to(os.devnull)
+    with whole_file(tmp_path / "null", alone=True) as device:
+        assert str(device) == os.devnull

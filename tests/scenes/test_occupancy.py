@@ -1,5 +1,6 @@
 """Occupancy images in the layout of kr_param_map's mazes and of ROS's map server."""
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -75,13 +76,44 @@ def test_start_and_goal_are_found(tmp_path: Path):
         ("- 1\n", "the key image"),
         ("{", "is not YAML"),
         ("image: none.png\n", "no such file"),
+        ("image: /dev/zero\n", "must be a PNG or PGM file"),
+        ("image: ../maze.png\n", "only files of its own folder"),
+        ("image: below/../../maze.png\n", "only files of its own folder"),
+        ("image: /etc/passwd.png\n", "only files of its own folder"),
+        ("image: leading_out.png\n", "only files of its own folder"),
+        ("image: zero.png\n", "only files of its own folder"),
+        ("image: pipe.png\n", "it is a pipe, not a regular file"),
+        ("image: folder.png\n", "is a directory"),
+        ("image: maze.png\nresolution: [[1]]\n", "the value of resolution must be"),
+        (f"image: maze.png\nresolution: {'9' * 5000}\n", "the value of resolution must be"),
+        ("image: maze.png\nresolution: !!python/name:os.system\n", "the value of resolution is not understood"),
+        ("image: maze.png\norigin: " + "[" * 100 + "]" * 100, "nested more than 20 deep"),
     ],
 )
 def test_a_damaged_file_of_the_map_server_is_explained(tmp_path: Path, yaml: str, message: str):
+    home = tmp_path / "home"
+    (home / "below").mkdir(parents=True)
+    (home / "folder.png").mkdir()
+    for folder in (tmp_path, home):
+        maze(folder / "maze.png")
+    os.mkfifo(home / "pipe.png")
+    (home / "leading_out.png").symlink_to("../maze.png")
+    (home / "zero.png").symlink_to("/dev/zero")
+    (home / "map.yaml").write_text(yaml, encoding="utf-8")
+    with pytest.raises(UserError, match=f"(?i){message}"):
+        load_map(home / "map.yaml", **ENDS)
+
+
+@pytest.mark.parametrize("merge", [True, False], ids=["merge keys", "aliases"])
+def test_a_text_that_expands_without_end_costs_nothing(tmp_path: Path, merge: bool):
     maze(tmp_path / "maze.png")
-    (tmp_path / "map.yaml").write_text(yaml, encoding="utf-8")
-    with pytest.raises(UserError, match=message):
-        load_map(tmp_path / "map.yaml", **ENDS)
+    lines = ["a: &k0 {x: 1}" if merge else "a: &k0 [1]"]
+    for i in range(30):
+        several = ", ".join([f"*k{i}"] * 12)
+        lines.append(f"b{i}: &k{i + 1} " + (f"{{<<: [{several}]}}" if merge else f"[{several}]"))
+    (tmp_path / "map.yaml").write_text("\n".join([*lines, "image: maze.png", "resolution: 0.5"]), encoding="utf-8")
+    world = load_map(tmp_path / "map.yaml", start=(5.0, 5.0, 1.5), goal=(20.0, 5.0, 1.5))
+    np.testing.assert_allclose(walls(world)[0, :6], [0.5, 10.0, 1.5, 1.0, 20.0, 3.0])
 
 
 def test_what_is_no_image_is_refused(tmp_path: Path):

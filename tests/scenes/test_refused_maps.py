@@ -17,7 +17,7 @@ from tests.scenes.map_contents import POINTS, las, pcd, ply
 DAMAGED = [
     ("m.pcd", b"hello", "no PCD header"),
     ("m.pcd", pcd("binary")[:-2000], "truncated: its header declares 500 points, and it holds 40"),
-    ("m.pcd", pcd("ascii")[:-300], "at row 496 with 3 columns"),
+    ("m.pcd", pcd("ascii")[:-300], "row 496 does not have 3 numbers"),
     ("m.pcd", pcd("ascii").rsplit(b"\n", 9)[0], "truncated: its header declares 500 points, and it holds 492"),
     ("m.pcd", pcd("binary").replace(b" 500", b" 1000000000000"), "truncated"),
     ("m.pcd", pcd("binary_compressed").replace(b"POINTS 500", b"POINTS 1000000000000"), "compressed data"),
@@ -32,7 +32,7 @@ DAMAGED = [
     ("m.ply", ply("binary").replace(b"float z", b"float q"), "no property z"),
     ("m.ply", ply("binary").replace(b"property float x", b"property list uchar int x"), "is a list"),
     ("m.ply", b"PK", "does not start with a PLY header"),
-    ("m.las", b"LASF", "small"),
+    ("m.las", b"LASF", "its header has 4 bytes of at least 227"),
     ("m.las", b"PCDF" * 100, "does not start with LASF"),
     ("m.npy", b"\x93NUMPY", "m.npy"),
     ("m.pts", b"5\n1 2 3\n", "truncated: its header declares 5 points, and it holds 1"),

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import viser
 
+from aero_planner.user_file import parse_json
 from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
@@ -88,7 +89,7 @@ def _parse(answer: str) -> tuple[tuple[int, int], dict[str, str]]:
     Raises:
         ValueError: it has sent something else.
     """
-    match json.loads(answer):
+    match parse_json(answer):
         case {"width": int(width), "height": int(height), "items": dict(items)}:
             kept = {str(key): str(value) for key, value in items.items() if str(key).startswith(_KEPT)}
             return (_fitted(width), _fitted(height)), kept

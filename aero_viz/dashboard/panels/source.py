@@ -74,6 +74,9 @@ class SourcePanel(Panel):
         self._choices = {name: (description, spec) for name, _, description, spec in split}
         self._offered = frozenset([opened, *(spec for _, spec in choices)])
         """Files that may be opened outside the folders."""
+        own = (Path(spec).resolve() for spec in self._offered if Path(spec).exists())
+        self._readable = (*folders.paths, *(path if path.is_dir() else path.parent for path in own))
+        """Folders in which a reader may open files."""
         self._opened = opened or (next(iter(self._choices.values()))[1] if choices else "")
         self.opening = Opening(self._opened, seed, conditions)
         """Source that is open."""
@@ -190,7 +193,7 @@ class SourcePanel(Panel):
             if self._reader is not None:
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
                 return
-            self._reader = ReaderProcess()
+            self._reader = ReaderProcess(folders=self._readable)
         self._open_in_thread(self._reader, spec, options, client)
 
     def open_link(self, link: Link, client: viser.ClientHandle | None) -> None:
@@ -199,7 +202,7 @@ class SourcePanel(Panel):
             if self._reader is not None:
                 notify(self.page.server, "A source is being opened; cancel that first.", level="error", client=client)
                 return
-            self._reader = ReaderProcess()
+            self._reader = ReaderProcess(folders=self._readable)
         options: dict[str, Any] = {"seed": link.opening.seed}
         if link.opening.conditions is not None and self._first_conditions is not None:
             options["conditions"] = link.opening.conditions

@@ -12,6 +12,7 @@ from aero_viz.dashboard import palette
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.title import title
 from aero_viz.dashboard.share.legend import RecordedLegend
+from aero_viz.dashboard.share.notice import NOTICE
 
 COLUMNS = ("time", "speed", "clearance")
 """Columns of the figures: [s], [m/s], [m]."""
@@ -111,7 +112,7 @@ def page(
     ends = json.dumps(legend.ends, separators=(",", ":"))
     script = _SCRIPT.replace("__ROWS__", rows).replace("__ENDS__", ends).replace("__WIDTH__", str(_WIDTH))
     panel = _panel(figures, name=name, ending=ending, command=command, legend=legend)
-    titled = f"{client[: head[0]]}<title>{markup.text(title(name))}</title>{client[head[1] : body]}"
+    titled = f"{client[: head[0]]}{NOTICE}<title>{markup.text(title(name))}</title>{client[head[1] : body]}"
     return titled + _DRAW_AGAIN + _STYLE + panel + script + client[body:]
 
 

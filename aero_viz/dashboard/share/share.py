@@ -154,7 +154,7 @@ def _write_picture(session: Session, frames: Iterable[Frame], path: Path, layers
 def _complete(path: Path) -> Iterator[Path]:
     """Yield a file to write, which replaces `path` at the end unless something fails."""
     try:
-        with whole_file(path) as partial:
+        with whole_file(path, alone=True) as partial:
             yield partial
     except OSError as error:
         raise UserError(f"{path} cannot be written: {error.strerror or error}.") from error

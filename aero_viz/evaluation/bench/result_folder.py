@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from aero_planner.user_file import read_user_text
+from aero_planner.user_file import parse_json, read_user_text
 from aero_viz.errors import UserError
 from aero_viz.input_limits import TEXT_MAX
 
@@ -76,7 +76,7 @@ def read_folder(folder: Path) -> tuple[Header | None, Flights]:
         UserError: the files cannot be read.
     """
     try:
-        header = json.loads(read_user_text(folder / _HEADER, limit=TEXT_MAX))
+        header = parse_json(read_user_text(folder / _HEADER, limit=TEXT_MAX))
         lines = (
             read_user_text(folder / _FLIGHTS, limit=16 * TEXT_MAX).splitlines() if (folder / _FLIGHTS).exists() else []
         )
@@ -87,7 +87,7 @@ def read_folder(folder: Path) -> tuple[Header | None, Flights]:
     flights = []
     for line in lines:
         try:
-            flights.append(json.loads(line))
+            flights.append(parse_json(line))
         except ValueError:  # a crash interrupted the writing of this line
             break
     return header, flights

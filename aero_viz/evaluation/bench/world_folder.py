@@ -9,6 +9,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from aero_planner.user_file import read_user_bytes
 from aero_viz.catalog import is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.result_folder import REPORT_FILES, holds_results
@@ -53,7 +54,7 @@ def folder_benchmark(
         except UserError as error:
             _logger.warning("left out: %s", error)
             continue
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_user_bytes(path)).hexdigest()
         worlds[path.name] = dataclasses.replace(world, name=path.stem)
         rows.append(Row(path.name, str(path), speed=speed, sha256=digest))
     if not rows:

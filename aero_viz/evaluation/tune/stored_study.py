@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import math
-import sqlite3
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from urllib.parse import quote
 
 import numpy as np
 
@@ -17,7 +14,8 @@ from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.evaluation.statistics import mean_interval, wilson_interval
 from aero_viz.evaluation.tune.objectives import UNITS, Objective, front_values, measure
-from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, first_line, flight_count, require_optuna
+from aero_viz.evaluation.tune.storage import check_file, first_line, read_only_storage, sqlite_file
+from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, flight_count, require_optuna
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials, pareto_front
 from aero_viz.evaluation.tune.tuning_result import Candidate
 
@@ -104,17 +102,24 @@ class StoredStudy:
 
     def __init__(self, storage: str, name: str) -> None:
         optuna = require_optuna()
-        if storage.startswith("sqlite:///"):
-            _check_sqlite(Path(storage.removeprefix("sqlite:///").partition("?")[0]))
+        path, opened = sqlite_file(storage), storage
+        self._start_reading: Callable[[], object] = lambda: None
+        if path is not None:
+            if not path.exists():
+                raise UserError(
+                    f"There is no storage {path}; make a study with aero-viz tune, or give another --storage."
+                )
+            check_file(path)
+            opened, self._start_reading = read_only_storage(storage, path)
         try:
-            names = optuna.get_all_study_names(storage)
+            names = optuna.get_all_study_names(opened)
             if name not in names:
                 shown = ", ".join(sorted(names)[:_NAMES_MAX]) + (", .." if len(names) > _NAMES_MAX else "")
                 raise UserError(
                     f"There is no study {name!r} in {storage}{did_you_mean(name, names)}; "
                     + (f"it holds {shown}." if names else "it holds none. Make one with: aero-viz tune.")
                 )
-            self._study: optuna.Study = optuna.load_study(study_name=name, storage=storage)
+            self._study: optuna.Study = optuna.load_study(study_name=name, storage=opened)
         except UserError:
             raise
         except Exception as error:  # SQLAlchemy and database drivers raise their own exceptions
@@ -133,6 +138,7 @@ class StoredStudy:
             UserError: the storage cannot be read any more, or the study is damaged.
         """
         attributes: Mapping[str, Any] = {}
+        self._start_reading()
         try:
             attributes = self._study.user_attrs
             trials = self._study.get_trials(deepcopy=False)
@@ -182,22 +188,6 @@ class StoredStudy:
             self._importance = tuple(_importance(trials, self._study.directions))
             self._importance_trials = count
         return self._importance
-
-
-def _check_sqlite(path: Path) -> None:
-    """Raise a UserError unless a file is a database of Optuna; Optuna would make one of any name or database."""
-    if not path.is_file():
-        raise UserError(f"There is no storage {path}; make a study with aero-viz tune, or give another --storage.")
-    try:
-        database = sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)
-        try:
-            tables = {name for (name,) in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        finally:
-            database.close()
-    except sqlite3.Error as error:
-        raise UserError(f"{path} cannot be read as a storage of studies: {error}; give another --storage.") from error
-    if "studies" not in tables:
-        raise UserError(f"{path} is a database without studies of Optuna; give another --storage.")
 
 
 def _axis(objective: Objective) -> str:

@@ -6,11 +6,11 @@ import hashlib
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.tune.objectives import Objective
+from aero_viz.evaluation.tune.storage import check_file, first_line, sqlite_file
 from aero_viz.flight import FlightResult
 
 if TYPE_CHECKING:
@@ -60,9 +60,12 @@ def open_study(
     definition = json.loads(json.dumps(definition))
     digest = hashlib.sha256(json.dumps(definition, sort_keys=True).encode()).hexdigest()[:8]
     pruner = optuna.pruners.WilcoxonPruner(p_threshold=_GIVE_UP_AT)
+    path = None if storage is None else sqlite_file(storage)
+    if path is not None and path.is_file() and path.stat().st_size:
+        check_file(path)
     try:
-        if storage is not None and storage.startswith("sqlite:///"):
-            Path(storage.removeprefix("sqlite:///")).absolute().parent.mkdir(parents=True, exist_ok=True)
+        if path is not None:
+            path.absolute().parent.mkdir(parents=True, exist_ok=True)
         study = optuna.create_study(
             storage=storage,
             sampler=made_sampler,
@@ -107,11 +110,6 @@ def require_optuna() -> Any:
     return optuna
 
 
-def first_line(error: Exception) -> str:
-    """Return the first line of an error's message, or its type if it has none."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
-
-
 def make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> optuna.samplers.BaseSampler:
     """Return a sampler of Optuna.
 
@@ -122,12 +120,14 @@ def make_sampler(name: Sampler, *, generation: int, seed: int, count: int) -> op
         count: number of objectives.
 
     Raises:
-        UserError: the sampler has one objective only.
+        UserError: the sampler has one objective only, or needs larger generations.
     """
     from optuna import samplers
 
     if name == "auto":
         name = "tpe" if count == 1 else "nsga2"
+    if name == "nsga2" and generation < 2:
+        raise UserError(f"--generation is {generation}, and the sampler {name} proposes at least 2 candidates at once.")
     if name == "cmaes" and count > 1:
         raise UserError("CMA-ES has one objective only; give one --objective, or choose another --sampler.")
     if name == "tpe":

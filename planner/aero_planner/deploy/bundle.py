@@ -14,7 +14,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import json
 import os
 import platform
 import re
@@ -31,7 +30,7 @@ import warp as wp
 
 from aero_planner import registry
 from aero_planner.config import PlannerConfig
-from aero_planner.user_file import open_user_file
+from aero_planner.user_file import open_user_file, parse_json
 from aero_planner.warp_init import find_device
 
 FORMAT = 1
@@ -317,8 +316,8 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     with open_user_file(path) as file:
         content = file.read(_MAX_MANIFEST_BYTES + 1)
     try:
-        manifest = json.loads(content) if len(content) <= _MAX_MANIFEST_BYTES else None
-    except (ValueError, RecursionError) as error:
+        manifest = parse_json(content) if len(content) <= _MAX_MANIFEST_BYTES else None
+    except ValueError as error:
         raise ValueError(f"has a {MANIFEST} that is not JSON") from error
     if not isinstance(manifest, dict) or "format" not in manifest:
         raise ValueError(f"has a {MANIFEST} that does not describe a bundle")

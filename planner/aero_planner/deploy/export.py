@@ -31,6 +31,7 @@ from aero_planner.config.file import load_config
 from aero_planner.deploy.aot import compile_ahead, kernels_in, load_kernels
 from aero_planner.deploy.bundle import CONFIG, FORMAT, GRAPH, KERNELS, MANIFEST, cpu_target, planner_digest
 from aero_planner.history import format_initial_state
+from aero_planner.import_path import child_environment, module_command
 from aero_planner.output_files import check_folder, check_output_files
 from aero_planner.planner import Planner
 from aero_planner.warp_init import init_warp
@@ -145,10 +146,9 @@ def save_graph(config: PlannerConfig, max_points: int, path: Path, *, device: st
 def _compile_in_subprocess(work: Path, folder: Path, max_points: int, architectures: list[int], cpu: bool) -> None:
     # Warp does not compile kernels again that are already loaded in this process.
     arguments = [str(work), str(folder), str(max_points), str(int(cpu)), *map(str, architectures)]
-    command = [sys.executable, "-m", __name__, *arguments]
     with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        errors="replace",
+        module_command(__name__, *arguments), env=child_environment(), stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, errors="replace",
     ) as process:  # fmt: skip
         try:
             _, errors = process.communicate()

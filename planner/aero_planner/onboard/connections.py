@@ -13,6 +13,7 @@ from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import MavlinkSender
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.signing_memory import SigningMemory
 from aero_planner.onboard.thrust import ThrustModel
 
 
@@ -31,10 +32,11 @@ def open_link(
 
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
-        ValueError: The URL is not understood, or the signing key can't be read.
+        ValueError: The URL is not understood, the signing key can't be read, or its time stamps can't be kept.
         OSError: The port is in use, the device does not exist, or a name has no address; says what to do.
     """
-    settings, goal_senders = config.mavlink, _goal_senders(config)
+    settings, goal_senders, key = config.mavlink, _goal_senders(config), _signing_key(config)
+    memory = None if key is None else SigningMemory(key)
     try:
         return MavlinkLink(
             settings.url,
@@ -44,7 +46,8 @@ def open_link(
             component=settings.component,
             state_rate=settings.state_rate,
             goal_senders=goal_senders,
-            key=_signing_key(config),
+            key=key,
+            memory=memory,
             clock=clock,
         )
     except OSError as error:

@@ -25,6 +25,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from aero_planner.config import VehicleConfig
+from aero_planner.import_path import child_environment, module_command
 from aero_planner.onboard.connections import make_sender
 from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.settings import OnboardConfig
@@ -110,13 +111,13 @@ class FailsafeProcess:
         try:
             self._memory = HeartbeatMemory(file)
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "aero_planner.onboard.failsafe_process", str(file)],
+                module_command("aero_planner.onboard.failsafe_process", str(file)),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
                 pass_fds=[file],
                 # Ctrl-C and Ctrl-Z are meant for the node alone. NumPy needs only one thread for this work.
                 start_new_session=True,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                env=child_environment(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1"),
             )
         finally:
             os.close(file)

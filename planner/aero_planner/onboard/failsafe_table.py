@@ -107,6 +107,8 @@ class Inputs:
     """True once the node has been asked to stop."""
     guarded: bool = True
     """False if the failsafe process has ended or hangs; True as well if the node is to fly without one."""
+    clock_set: bool = True
+    """False if signed messages are required and the computer's date is not set."""
     seen_disarmed: bool = True
     """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next four fields."""
     state_time: float = 0.0
@@ -141,6 +143,7 @@ class Cause(enum.Enum):
     ON_GROUND = "the vehicle is on the ground, taking off or landing"
     IN_AIR_UNKNOWN = "the autopilot does not report whether the vehicle is in the air"
     UNGUARDED = "the failsafe process, which brakes if this one dies, has ended or hangs: start the node again"
+    CLOCK_UNSET = "the computer's date is not set, so that old signed messages can't be told from new ones: set it"
     CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, position or time stamps are wrong"
     STOPPING = "the node was asked to stop"
     STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
@@ -165,7 +168,9 @@ FAULTS = (
 _LANDED = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
 """Causes for which the node falls silent at once: the drone is, or may be, on the ground."""
 
-NOT_READY = (*_LANDED, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
+_UNFIT = (Cause.CLOUD_DRIFTS, Cause.UNGUARDED, Cause.CLOCK_UNSET)
+
+NOT_READY = (*_LANDED, *_UNFIT)
 """Causes that, like the faults, prevent READY, but that do not disturb a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
@@ -255,6 +260,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.ON_GROUND: lambda i, _: i.in_air is False,
     Cause.IN_AIR_UNKNOWN: lambda i, _: i.in_air is None,
     Cause.UNGUARDED: lambda i, _: not i.guarded,
+    Cause.CLOCK_UNSET: lambda i, _: not i.clock_set,
     Cause.CLOUD_DRIFTS: lambda i, lim: i.drift_angle > math.radians(lim.drift_angle) or i.drift_speed > lim.drift_speed,
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
@@ -358,10 +364,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition((_S.WITHDRAWING,), Cause.LINK_TIMEOUT, _S.WAITING),
     Transition((_S.WITHDRAWING,), Cause.ENGAGED, _S.BRAKING),
     # Faults that are present now.
-    *(
-        Transition((_S.READY,), cause, _S.WITHDRAWING)
-        for cause in (Cause.STOPPING, *FAULTS, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
-    ),
+    *(Transition((_S.READY,), cause, _S.WITHDRAWING) for cause in (Cause.STOPPING, *FAULTS, *_UNFIT)),
     Transition((_S.FLYING,), Cause.STOPPING, _S.BRAKING),
     *(Transition((_S.FLYING,), fault, _S.BRAKING) for fault in FAULTS),
     *(Transition((_S.ARRIVED,), fault, _S.BRAKING) for fault in FAULTS if fault not in HARMLESS_AT_REST),

@@ -82,7 +82,7 @@ class FlightLog(Observer):
         self.failed = False
         self._refused = 0
         self._flush_period = flush_period
-        self._epoch = time.time() - clock()
+        self._epoch = ros_messages.wall_time() - clock()
         self._period = onboard.lidar.sweep_period
         lidar = onboard.lidar
         self._mount = quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw)

@@ -27,6 +27,7 @@ from aero_planner.onboard.mavlink_parser import MavlinkParser
 from aero_planner.onboard.mavlink_sender import MavlinkSender, load_dialect
 from aero_planner.onboard.mavlink_signing import SignatureChecker
 from aero_planner.onboard.mavlink_state import COORDINATE_LIMIT, StateReceiver
+from aero_planner.onboard.signing_memory import SigningMemory
 from aero_planner.onboard.thrust import ThrustModel
 from aero_planner.onboard.transport import open_transport
 
@@ -58,6 +59,7 @@ class MavlinkLink(MavlinkSender):
         goal_senders: System id and address of each sender of goals; None for the address stands for the autopilot's
             connection.
         key: Key of the signatures, 32 bytes; messages without a valid one are ignored. None accepts all.
+        memory: What was accepted with this key before; None knows of nothing.
         clock: Host time [s].
 
     Raises:
@@ -85,6 +87,7 @@ class MavlinkLink(MavlinkSender):
         state_rate: float = 100.0,
         goal_senders: Collection[tuple[int, str | None]] | None = None,
         key: bytes | None = None,
+        memory: SigningMemory | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         load_dialect()  # raises before the transport is opened
@@ -93,7 +96,9 @@ class MavlinkLink(MavlinkSender):
         hosts = {host for _, host in self._goal_senders if host is not None}
         self._transport = open_transport(url, baud=baud, allowed=hosts)
         super().__init__(self._transport, system=system, component=component, thrust=thrust, clock=clock, key=key)
-        self._signatures = None if key is None else SignatureChecker(key)
+        self._signatures = None if key is None else SignatureChecker(key, memory)
+        if self._signatures is not None:
+            self.min_signing_time = self._signatures.newest
         self.parser = MavlinkParser(
             self._dialect,
             datagrams=self._transport.datagrams,
@@ -150,6 +155,8 @@ class MavlinkLink(MavlinkSender):
     def close(self) -> None:
         """Release the connection."""
         self._transport.close()
+        if self._signatures is not None:
+            self._signatures.close()
 
     @property
     def dropped_datagrams(self) -> int:

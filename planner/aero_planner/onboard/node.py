@@ -38,6 +38,7 @@ from aero_planner.onboard.failsafe_table import (
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample
+from aero_planner.onboard.mavlink_signing import clock_is_set
 from aero_planner.onboard.periodic_loop import LoopThreads, PeriodicLoop, run_step
 from aero_planner.onboard.plan_schedule import PlanSchedule
 from aero_planner.onboard.readiness_log import ReadinessLog
@@ -105,6 +106,7 @@ class Node:
         self._observers = tuple(observers)
         self._failsafe = failsafe
         self._vehicle = planner.config.vehicle
+        self._is_signed = config.mavlink.signing_key_file != "none"
         self._period = 1.0 / config.rates.control
         # Silence after which the failsafe process, too, has sent its last command.
         self._replaced_time = takeover_time(config) + config.limits.blind_time + 2.0 * self._period
@@ -330,6 +332,7 @@ class Node:
             goal_number=self._goals.count,
             stopping=self._stopping,
             guarded=self._failsafe is None or not self._failsafe.lost,
+            clock_set=not self._is_signed or clock_is_set(),
         )
         return inputs, motion
 

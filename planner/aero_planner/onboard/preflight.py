@@ -23,6 +23,7 @@ from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.log_place import check_log_place
 from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.mavlink_signing import clock_is_set
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
     check_parameters,
@@ -72,7 +73,7 @@ def preflight(
     """
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
-    checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(), *_check_disk(log)]
+    checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(onboard), *_check_disk(log)]
     checks += [*_check_telemetry_port(onboard), *_check_receive_buffer(), _check_failsafe_process(planner, onboard)]
     link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
     lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
@@ -174,12 +175,14 @@ def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     return Check("memory", finding, ok=known >= needed, required=False, advice=advice)
 
 
-def _check_clock() -> Check:
-    year = time.gmtime().tm_year
+def _check_clock(onboard: OnboardConfig) -> Check:
     resolution = time.get_clock_info("monotonic").resolution
     finding = f"{time.strftime('%Y-%m-%d %H:%M:%S')}, monotonic clock with a resolution of {1e6 * resolution:.3g} us"
-    advice = "Set the date (timedatectl); the times in the flight log depend on it."
-    return Check("clock", finding, ok=2024 <= year < 2100 and resolution < 1e-3, required=False, advice=advice)
+    is_signed = onboard.mavlink.signing_key_file != "none"
+    depends = f"{'signed messages and ' if is_signed else ''}the times in the flight log depend"
+    is_right = clock_is_set() and time.gmtime().tm_year < 2038 and resolution < 1e-3
+    advice = f"Set the date (timedatectl); {depends} on it."
+    return Check("clock", finding, ok=is_right, required=is_signed, advice=advice)
 
 
 def _check_disk(log: str | Path | None) -> Iterator[Check]:

@@ -6,6 +6,7 @@ Needs no ROS. The types are ROS 2's own, so that other tools can read them, exce
 from __future__ import annotations
 
 import struct
+import time
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Goal, Plan, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
+_SECONDS_MAX = 2**31 - 1
 WORLD, BODY = "world", "body"
 """Names of the coordinate frames: the fixed frame, and the body frame, in which points are logged."""
 
@@ -119,6 +121,14 @@ DEFINITIONS: dict[str, str] = {kind: _definition(text) for kind, text in _MESSAG
 """Definition of each message type, with those of the types it uses."""
 
 
+def wall_time() -> float:
+    """Return the wall time for stamps [s]; beside the years that ROS can express, the nearest day of them.
+
+    The seconds of its stamps have 32 bits. A day is left, so that a log that begins now has different stamps.
+    """
+    return min(max(time.time(), 0.0), _SECONDS_MAX - 86_400.0)
+
+
 class _Writer:
     """Writes little-endian CDR: each number is aligned to its size, counted from the end of the 4-byte header."""
 
@@ -147,8 +157,9 @@ class _Writer:
 
     def header(self, stamp: int, frame_id: str) -> None:
         """Append a std_msgs/Header with the stamp [ns]."""
-        self.pack("i", stamp // 10**9)
-        self.pack("I", stamp % 10**9)
+        seconds, rest = divmod(stamp, 10**9)
+        self.pack("i", min(max(seconds, -_SECONDS_MAX), _SECONDS_MAX))
+        self.pack("I", rest)
         self.text(frame_id)
 
     def pose(self, position: ArrayLike, quaternion: ArrayLike) -> None:

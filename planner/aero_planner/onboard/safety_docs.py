@@ -21,6 +21,7 @@ from aero_planner.onboard.failsafe_table import (
     reaction_to,
 )
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.plain_text import say
 
 
 def format_diagram() -> str:
@@ -79,4 +80,4 @@ def _words(cause: Cause) -> str:
 
 
 if __name__ == "__main__":
-    print(format_diagram(), format_states(), format_failsafes(), sep="\n\n")
+    say(format_diagram(), format_states(), format_failsafes(), sep="\n\n")

@@ -7,6 +7,7 @@ import logging
 import os
 
 from aero_planner.mailbox import Mailbox
+from aero_planner.plain_text import PlainFormatter
 
 _CAPACITY = 1000
 """Largest number of lines that wait; the oldest are dropped."""
@@ -33,7 +34,9 @@ class StderrHandler(logging.Handler):
 def log_to_stderr() -> None:
     """Send this process's log to standard error."""
     line_format = "%(asctime)s %(levelname)-7s %(message)s"
-    logging.basicConfig(level=logging.INFO, format=line_format, handlers=[StderrHandler()])
+    handler = StderrHandler()
+    handler.setFormatter(PlainFormatter(line_format))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
 
 
 def _write(line: bytes) -> None:

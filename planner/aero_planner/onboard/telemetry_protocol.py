@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.user_file import parse_json
+
 VERSION = 1
 """Increased whenever a reader of the previous version would misread a message."""
 
@@ -123,7 +125,7 @@ def _unpack(kind: int, packed: bytes, size: int) -> Message:
         if len(content) != size:
             raise ValueError("its content is too short")
         (length,) = _LENGTH.unpack_from(content)
-        description = json.loads(content[_LENGTH.size : _LENGTH.size + length])
+        description = parse_json(content[_LENGTH.size : _LENGTH.size + length])
         values, arrays, start = dict(description["values"]), {}, _LENGTH.size + length
         for name, dtype, shape in description["arrays"]:
             if dtype not in _TYPES or not all(isinstance(n, int) and n >= 0 for n in shape):
@@ -131,6 +133,6 @@ def _unpack(kind: int, packed: bytes, size: int) -> Message:
             count = math.prod(shape)
             arrays[str(name)] = np.frombuffer(content, dtype, count, start).reshape(shape)
             start += count * np.dtype(dtype).itemsize
-    except (zlib.error, struct.error, KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
+    except (zlib.error, struct.error, KeyError, TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"a telemetry message is damaged: {error}.") from error
     return Message(kind, values, arrays)

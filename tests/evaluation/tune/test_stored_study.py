@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import sqlite3
 import sys
 from pathlib import Path
@@ -131,6 +132,51 @@ def test_foreign_and_damaged_studies_are_named(tmp_path: Path) -> None:
     study.set_user_attr("trials", 7)
     with pytest.raises(UserError, match="is damaged"):
         open_study.read()
+
+
+@pytest.mark.parametrize(
+    ("statements", "problem"),
+    [
+        (
+            "ALTER TABLE trials RENAME TO old; CREATE VIEW trials AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT "
+            "i + 1 FROM n) SELECT old.* FROM n, old",
+            "has the view 'trials'",
+        ),
+        ("CREATE VIEW harmless AS SELECT 1", "has the view 'harmless'"),
+        ("CREATE TRIGGER t AFTER INSERT ON trials BEGIN DELETE FROM studies; END", "has the trigger 't'"),
+        ("CREATE VIRTUAL TABLE search USING fts5(text)", "has the table 'search'"),
+        ("ALTER TABLE trials ADD COLUMN d AS (number * 2)", "has computed columns in its table 'trials'"),
+        ("CREATE INDEX i ON trials (number * 2)", "has computed columns in its index 'i'"),
+    ],
+)
+def test_a_storage_with_a_program_is_refused(storage: str, tmp_path: Path, statements: str, problem: str) -> None:
+    path = tmp_path / "evil.db"
+    path.write_bytes(Path(storage.removeprefix("sqlite:///")).read_bytes())
+    with sqlite3.connect(path) as database:
+        database.executescript(f"PRAGMA legacy_alter_table = ON; {statements}")
+    for url in (f"sqlite:///{path}", f"sqlite+pysqlite:///{path}?timeout=3"):
+        with pytest.raises(UserError, match=rf"evil\.db {problem}.* give another --storage"):
+            StoredStudy(url, "poles")
+        with pytest.raises(UserError, match=problem):
+            fly(url, trials=1)
+
+
+def test_special_files_are_no_storage(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.db")
+    for url, problem in (
+        (f"sqlite:///{tmp_path}/pipe.db", "it is a pipe"),
+        (f"sqlite:///{tmp_path}", "Is a directory"),
+        (f"sqlite:///file:{tmp_path}/tune.db?uri=true", "give sqlite:///PATH"),
+    ):
+        with pytest.raises(UserError, match=problem):
+            StoredStudy(url, "poles")
+
+
+def test_a_study_that_is_read_is_not_changed(storage: str) -> None:
+    path = Path(storage.removeprefix("sqlite:///"))
+    content = path.read_bytes()
+    StoredStudy(storage, "poles").read()
+    assert path.read_bytes() == content and [file.name for file in path.parent.iterdir()] == [path.name]
 
 
 def test_without_optuna_one_sentence_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, storage: str) -> None:

@@ -1,5 +1,6 @@
 import socket
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -32,6 +33,14 @@ def ample_poll_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let a poll read all that has arrived: on a slow machine the usual processor time suffices for one datagram."""
     for module in ("mavlink", "livox"):
         monkeypatch.setattr(f"aero_planner.onboard.{module}._POLL_TIME", 60.0)
+
+
+@pytest.fixture(autouse=True)
+def state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder in which the node keeps what outlasts it."""
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path / "state" / "aero-planner"
 
 
 @pytest.fixture(scope="package")

@@ -54,6 +54,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "on the ground": {"in_air": False},
     "landed state unknown": {"in_air": None},
     "no failsafe process": {"guarded": False},
+    "no date": {"clock_set": False},
     "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
     "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
 }

@@ -173,3 +173,15 @@ def test_a_log_that_cannot_be_written_is_an_error_at_once(tmp_path: Path, monkey
     monkeypatch.setitem(sys.modules, "mcap.writer", None)
     with pytest.raises(ImportError, match=r"pip install 'aero-planner\[log\]'"):
         FlightLog(tmp_path / "a.mcap", PlannerConfig(), OnboardConfig())
+
+
+@pytest.mark.parametrize("now", [-1e9, 0.0, 2.0**31 - 10.0, 2.0**31 + 1e9, 1e12])
+def test_a_date_that_ros_cannot_express_costs_no_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, now: float):
+    monkeypatch.setattr("time.time", lambda: now)
+    log = FlightLog(tmp_path / "flight.mcap", SMALL, OnboardConfig(), clock=lambda: 0.0)
+    for i in range(20):
+        log.observe(sample(0.1 * i))
+    log.close(60.0)
+    assert not log.failed
+    stamps = [time for time, _ in decoded(log.path)["/odometry"]]
+    assert len(set(stamps)) == 20 and stamps[-1] - stamps[0] == pytest.approx(1.9e9, rel=1e-3)

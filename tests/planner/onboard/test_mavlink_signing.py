@@ -18,6 +18,7 @@ from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.signing_memory import state_folder as state_folder_of_the_node
 from aero_planner.onboard.transport import open_transport
 from aero_planner.onboard.watchdog import Heartbeat
 
@@ -173,3 +174,95 @@ def test_keys_are_hexadecimal_or_passphrases(tmp_path):
         load_key(path)
     with pytest.raises(ValueError, match="No such file"):
         load_key(tmp_path / "absent")
+
+
+def set_clock(monkeypatch: pytest.MonkeyPatch, now: float) -> None:
+    monkeypatch.setattr("aero_planner.onboard.mavlink_signing.time.time", lambda: now)
+
+
+def restarted(autopilot: Autopilot, key_file, *frames: bytes) -> dict[str, int]:
+    """Return what a node that starts now accepts of these frames."""
+    link = connect(autopilot, key_file)
+    autopilot.receive()
+    for frame in frames:
+        autopilot.send(frame)
+    link.poll()
+    link.close()
+    return link.received
+
+
+def test_nothing_is_accepted_again_after_a_restart(key_file, state_folder):
+    autopilot = Autopilot(KEY)
+    seen = [autopilot.heartbeat(), autopilot.heartbeat()]
+    assert restarted(autopilot, key_file, *seen) == {"HEARTBEAT": 2}
+    assert restarted(autopilot, key_file, *seen) == {}
+    assert restarted(autopilot, key_file, seen[1], autopilot.heartbeat()) == {"HEARTBEAT": 1}
+    (file,) = state_folder.iterdir()
+    assert KEY.hex() not in file.read_text() and KEY.hex()[:16] not in file.name
+
+
+def test_nothing_is_accepted_again_after_a_crash(key_file, state_folder):
+    autopilot = Autopilot(KEY)
+    link = connect(autopilot, key_file)
+    autopilot.receive()
+    seen = autopilot.heartbeat()
+    autopilot.send(seen)
+    link.poll()
+    deadline = time.monotonic() + 60.0
+    while not next(state_folder.iterdir()).read_text():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert restarted(autopilot, key_file, seen) == {}
+    later = Autopilot(KEY)
+    later.protocol.signing.timestamp += 3 * 100_000
+    assert restarted(later, key_file, later.heartbeat()) == {"HEARTBEAT": 1}
+    link.close()
+
+
+def test_the_date_may_be_lost_but_not_what_was_accepted(key_file, monkeypatch):
+    autopilot = Autopilot(KEY)
+    old, seen, fresh = (autopilot.heartbeat() for _ in range(3))
+    assert restarted(autopilot, key_file, seen) == {"HEARTBEAT": 1}
+    set_clock(monkeypatch, 0.0)
+    assert restarted(autopilot, key_file, old, seen) == {}
+    assert restarted(autopilot, key_file, fresh) == {"HEARTBEAT": 1}
+
+
+def test_without_a_date_a_new_sender_is_not_believed(key_file, monkeypatch):
+    autopilot = Autopilot(KEY)
+    autopilot.protocol.signing.timestamp -= 86_400 * 100_000
+    yesterday = autopilot.heartbeat()
+    for now in (0.0, 1_500_000_000.0):
+        set_clock(monkeypatch, now)
+        assert restarted(autopilot, key_file, yesterday) == {}
+    monkeypatch.undo()
+
+
+def test_time_stamps_never_go_back_over_a_restart(key_file, monkeypatch):
+    autopilot = Autopilot(KEY)
+    autopilot.protocol.signing.timestamp += 600 * 100_000
+    assert restarted(autopilot, key_file, autopilot.heartbeat()) == {"HEARTBEAT": 1}
+    set_clock(monkeypatch, 0.0)
+    link = connect(autopilot, key_file)
+    assert link.min_signing_time >= autopilot.protocol.signing.timestamp - 1
+    link.close()
+
+
+def test_a_memory_that_is_damaged_or_cannot_be_written_is_named(key_file, state_folder, monkeypatch):
+    restarted(Autopilot(KEY), key_file)
+    (file,) = state_folder.iterdir()
+    for content in (b"1 2 3\n", b"a b c d\n", b"\xff"):
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match=r"signing_\w+, with the time stamps of signed messages, is damaged"):
+            connect(Autopilot(KEY), key_file)
+    file.unlink()
+    state_folder.rmdir()
+    state_folder.write_text("no folder")
+    with pytest.raises(ValueError, match=r"can't keep the time stamps .* set XDG_STATE_HOME to a folder"):
+        connect(Autopilot(KEY), key_file)
+
+
+def test_systemd_names_the_folder_first(tmp_path, monkeypatch):
+    assert state_folder_of_the_node().name == "aero-planner"
+    monkeypatch.setenv("STATE_DIRECTORY", f"{tmp_path}/a:{tmp_path}/b")
+    assert state_folder_of_the_node() == tmp_path / "a"

@@ -313,3 +313,12 @@ def test_stopping_the_node_brakes_first():
     safety, now = flying()
     run(safety, dataclasses.replace(WELL, stopping=True), LIMITS.brake_time + 0.1, now)
     assert safety.state is State.HANDED_BACK  # although it never came to rest
+
+
+def test_without_a_date_signed_messages_make_nothing_ready():
+    safety = SafetyMachine(LIMITS)
+    undated = dataclasses.replace(WELL, clock_set=False, armed=False, offboard=False)
+    run(safety, undated, 1.0, 0.0)
+    assert safety.state is State.WAITING and safety.missing() == (Cause.CLOCK_UNSET,)
+    run(safety, dataclasses.replace(undated, clock_set=True), 1.0, 1.0)
+    assert safety.state is State.READY

@@ -90,7 +90,7 @@ def recorded(config: PlannerConfig, tuning: KernelTuning, *, batch: int = 1) -> 
 
 
 def description(names: tuple[str, ...], tuning: KernelTuning) -> str:
-    """Return what a planner with these stages launches and allocates: module, name and code of each kernel, and shapes."""
+    """Return what a planner with these stages launches and allocates: name and code of each kernel, and shapes."""
     kernels, shapes = recorded(config_with(names), tuning)
     launches = [(kernel.func.__module__, kernel.key, kernel.adj.source) for kernel in kernels]
     return hashlib.sha256(repr((launches, shapes)).encode()).hexdigest()

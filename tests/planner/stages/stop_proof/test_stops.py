@@ -194,7 +194,8 @@ def fallback_kernel(composition: Composition) -> Any:
 
     @wp.kernel(module="unique", enable_backward=False)
     def fallback_kernel(
-        status: int, demanded: float, scores: Scores, views: Views, params: wp.array(dtype=Params), out: wp.array(dtype=int)
+        status: int, demanded: float, scores: Scores, views: Views, params: wp.array(dtype=Params),
+        out: wp.array(dtype=int),
     ):  # fmt: skip
         out[0] = choose(0, 1, status, demanded, scores, views, params[0])
 

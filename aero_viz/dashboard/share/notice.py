@@ -1,0 +1,35 @@
+"""The notice of third parties that a shared page carries: it contains the client of viser 1.1 and its libraries."""
+
+NOTICE = """<!--
+This page contains the client of viser, by its authors, under the Apache License 2.0
+(https://www.apache.org/licenses/LICENSE-2.0), and with it these libraries, each by its authors and contributors:
+
+Apache License 2.0: fuse.js.
+ISC License: @msgpack/msgpack.
+MIT License: await-lock, bvh.js, detect-browser, @monogrid/gainmap-js, hast-util-from-dom, hast-util-to-html,
+its-fine, @mantine, meshoptimizer, react and react-dom (Copyright Meta Platforms, Inc. and affiliates),
+react-error-boundary, react-intersection-observer, react-markdown, react-qr-code, @react-three/drei,
+@react-three/fiber, rehype-color-chips, remark-gfm, @tabler/icons-react, three (Copyright three.js authors),
+three-stdlib, unified, unist-util-visit, uplot, uplot-react, uuid, @vanilla-extract, zstddec.
+
+The MIT License: Permission is hereby granted, free of charge, to any person obtaining a copy of this software and
+associated documentation files (the "Software"), to deal in the Software without restriction, including without
+limitation the rights to use, copy, modify, merge, publish, distribute, sublicense, and/or sell copies of the
+Software, and to permit persons to whom the Software is furnished to do so, subject to the following conditions: The
+above copyright notice and this permission notice shall be included in all copies or substantial portions of the
+Software. THE SOFTWARE IS PROVIDED "AS IS", WITHOUT WARRANTY OF ANY KIND, EXPRESS OR IMPLIED, INCLUDING BUT NOT
+LIMITED TO THE WARRANTIES OF MERCHANTABILITY, FITNESS FOR A PARTICULAR PURPOSE AND NONINFRINGEMENT. IN NO EVENT SHALL
+THE AUTHORS OR COPYRIGHT HOLDERS BE LIABLE FOR ANY CLAIM, DAMAGES OR OTHER LIABILITY, WHETHER IN AN ACTION OF
+CONTRACT, TORT OR OTHERWISE, ARISING FROM, OUT OF OR IN CONNECTION WITH THE SOFTWARE OR THE USE OR OTHER DEALINGS IN
+THE SOFTWARE.
+
+The ISC License: Permission to use, copy, modify, and/or distribute this software for any purpose with or without fee
+is hereby granted, provided that the above copyright notice and this permission notice appear in all copies. THE
+SOFTWARE IS PROVIDED "AS IS" AND THE AUTHOR DISCLAIMS ALL WARRANTIES WITH REGARD TO THIS SOFTWARE INCLUDING ALL
+IMPLIED WARRANTIES OF MERCHANTABILITY AND FITNESS. IN NO EVENT SHALL THE AUTHOR BE LIABLE FOR ANY SPECIAL, DIRECT,
+INDIRECT, OR CONSEQUENTIAL DAMAGES OR ANY DAMAGES WHATSOEVER RESULTING FROM LOSS OF USE, DATA OR PROFITS, WHETHER IN
+AN ACTION OF CONTRACT, NEGLIGENCE OR OTHER TORTIOUS ACTION, ARISING OUT OF OR IN CONNECTION WITH THE USE OR
+PERFORMANCE OF THIS SOFTWARE.
+-->
+"""
+"""Comment for the head of the page."""
