@@ -59,7 +59,7 @@ def _flag_field(info: ParameterInfo) -> tuple[str, Any, Any]:
     kind: Any = Literal[info.choices] if info.choices else type(info.default)
     values = ("True", "False") if kind is bool else info.choices
     metavar = "{" + ",".join(values) + "}" if values else kind.__name__.upper()
-    bounds = "" if values or info.pattern else f" In [{info.low:g}, {info.high:g}]."
+    bounds = "" if not info.is_number else f" In [{info.low:g}, {info.high:g}]."
     unit = f" [{info.unit}]" if info.unit else ""
     argument = tyro.conf.arg(
         help=f"{info.help.rstrip('.')}{unit}.{bounds}",

@@ -64,10 +64,12 @@ class ParameterInfo:
     """Regular expression that a text must match as a whole."""
     form: str = ""
     """The pattern in words, such as "an address"."""
+    items: tuple[str, ...] = ()
+    """Names of which a text lists any, separated by commas, in this order; empty for another text."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name.replace("_", " ").capitalize())
-        object.__setattr__(self, "group", self.group or self.section.capitalize())
+        object.__setattr__(self, "group", self.group or self.section.replace("_", " ").capitalize())
 
     @property
     def path(self) -> str:
@@ -81,9 +83,14 @@ class ParameterInfo:
         return " ".join(part for part in (self.label, self.symbol, unit) if part)
 
     @property
+    def is_number(self) -> bool:
+        """True for a number, false for a switch, a choice or a text."""
+        return not isinstance(self.default, bool | str)
+
+    @property
     def accepts_nothing(self) -> bool:
         """True for a text that may be empty."""
-        return bool(self.pattern) and re.fullmatch(self.pattern, "") is not None
+        return bool(self.items) or (bool(self.pattern) and re.fullmatch(self.pattern, "") is not None)
 
     @property
     def range(self) -> str:
@@ -103,6 +110,8 @@ class ParameterInfo:
             ValueError: the value has the wrong type or is out of bounds; names parameter, value and range.
         """
         kind = type(self.default)
+        if self.items:
+            return self._check_items(value)
         if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
             value = value.item()
         if self.pattern:
@@ -119,6 +128,16 @@ class ParameterInfo:
         if not valid:
             raise ValueError(f"{self.path} is {value!r}; it must be {expected}.")
         return kind(value)
+
+    def _check_items(self, value: Any) -> str:
+        """Return the names that a text lists in the order of `items`, separated by commas."""
+        if not isinstance(value, str):
+            raise ValueError(f"{self.path} is {value!r}; it must be {self.form}.")
+        listed = {name.strip() for name in value.split(",")} - {""}
+        for name in sorted(listed.difference(self.items)):
+            hint = did_you_mean(name, self.items)
+            raise ValueError(f"{self.path} has {name!r}{hint}; known: {', '.join(self.items)}.")
+        return ", ".join(name for name in self.items if name in listed)
 
 
 def live(default: Any, unit: str, low: float, high: float, help: str, **more: Any) -> Any:
@@ -151,6 +170,11 @@ def text(default: str, pattern: str, form: str, help: str, **more: Any) -> Any:
     return _field(default, unit="", help=help, pattern=pattern, form=form, live=False, **more)
 
 
+def names_list(default: str, items: tuple[str, ...], help: str, **more: Any) -> Any:
+    """Return the field of a text that lists any of `items`, separated by commas."""
+    return _field(default, unit="", help=help, items=items, form="names separated by commas", live=False, **more)
+
+
 def _field(default: Value, **description: Any) -> Any:
     return field(default=default, metadata={"default": default, **description})
 
@@ -159,7 +183,7 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice` or `text` are parameters. Other fields are left alone.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters. Others are left alone.
     The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:
@@ -235,9 +259,10 @@ class SectionedConfig:
 
     @classmethod
     def check_section(cls, name: Any) -> None:
-        """Raise ValueError, with the nearest known name, if no section `name` exists or has existed."""
+        """Raise ValueError, with the nearest known name, if there is no section `name`, and there was none."""
         known = cls.sections()
-        if name not in known and all(not path.startswith(f"{name}.") for path in (*cls.renamed, *cls.removed)):
+        earlier = {path.partition(".")[0] for path in (*cls.renamed, *cls.removed)}
+        if name not in known and name not in earlier:
             raise ValueError(f"unknown section {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}.")
 
     @classmethod

@@ -8,6 +8,7 @@ from command_line import run, terminal_text
 from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
 from aero_viz.cli.page import flight_opener
+from aero_viz.cli.renamed_flags import replace_renamed_flags
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.sensors import LIDARS
 
@@ -54,12 +55,50 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     assert flags(str(file)).load().costs.use_ground
 
 
+def test_flags_of_renamed_parameters_keep_their_old_spelling(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+):
+    monkeypatch.setattr(PlannerConfig, "renamed", {"costs.old_name": "costs.q_track"})
+    monkeypatch.setattr(PlannerConfig, "removed", {"costs.gone": "it had no effect"})
+    arguments = ["forest", "--costs.old-name", "3", "--costs.gone", "5", "--costs.gone=5", "--speed", "4"]
+    assert replace_renamed_flags(arguments) == ["forest", "--costs.q-track", "3", "--speed", "4"]
+    assert replace_renamed_flags(["--costs.old_name=3"]) == ["--costs.q-track=3"]
+    assert "costs.old_name is now costs.q_track" in caplog.text
+    assert "costs.gone is ignored: it had no effect" in caplog.text
+
+
+def test_flags_and_files_of_the_last_release_are_accepted_with_a_notice(tmp_path, caplog: pytest.LogCaptureFixture):
+    arguments = ["--escape.radius", "3", "--candidates.prove-stop", "off", "--vehicle.rate_xy_lag=0.07"]
+    assert replace_renamed_flags(arguments) == ["--way-out.radius", "3", "--vehicle.rate-lag=0.07"]
+    assert "escape.radius is now way_out.radius" in caplog.text
+    assert "candidates.prove_stop is ignored: stop_proof.prove_stop switches the stop proof" in caplog.text
+    caplog.clear()
+    file = tmp_path / "old.yaml"
+    file.write_text("escape:\n  radius: 3\n  guide_depth: 2.0\npartition:\n  view_min: -20\n")
+    expected = PlannerConfig().replace({"way_out.radius": 3.0, "unseen_space.view_min": -20.0})
+    assert flags(str(file)).load() == expected
+    assert "line 2: escape.radius is now way_out.radius" in caplog.text
+    assert "line 3: escape.guide_depth is ignored" in caplog.text
+
+
+def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str]):
+    planner = ConfigFlags().planner
+    sections = {"stages": type(planner.stages)(active="memory,way_out"), "vehicle": type(planner.vehicle)(model="ctbr")}
+    config = ConfigFlags("default", type(planner)(**sections)).load()
+    assert config.stages.names == ("way_out", "memory") and config.stages.active == "way_out, memory"
+    with pytest.raises(ValueError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
+        ConfigFlags("default", type(planner)(stages=type(planner.stages)(active="wayout"))).load()
+    code, text, _ = run(capsys, "fly", "--help")
+    assert code == 0 and "--vehicle.model {ctbr,acceleration" in terminal_text(text)
+    assert "inf]" not in terminal_text(text), "a text has no bounds"
+
+
 def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():
     def config_with(flags: FlightFlags, lidar: str) -> PlannerConfig:
         opener = flight_opener("wall", WorldFlags(), flags, PlannerConfig(), lidar=lidar, device="cpu")
         return config_for_flight(PlannerConfig(), opener("wall", seed=0).info)
 
     config = config_with(FlightFlags(drone=DroneFlags(latency=0.05)), "full-sphere")
-    assert (config.partition.view_min, config.partition.view_max, config.vehicle.delay) == (-90.0, 90.0, 0.05)
+    assert (config.unseen_space.view_min, config.unseen_space.view_max, config.vehicle.delay) == (-90.0, 90.0, 0.05)
     top = {"costs.height_max": config.costs.height_max}
     assert config_with(FlightFlags(), "mid360") == PlannerConfig().replace(top)

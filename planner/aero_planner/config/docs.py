@@ -18,14 +18,13 @@ def format_parameters() -> str:
 
 def _cells(info: ParameterInfo) -> list[str]:
     paper = PlannerConfig.preset("paper").get(info.path)
-    is_number = not info.choices and not info.pattern and not isinstance(info.default, bool)
     return [
         f"`{info.path}`",
         info.label,
         info.symbol,
         _text(info.default),
         "" if paper == info.default else _text(paper),
-        f"{info.low:g} .. {info.high:g}" if is_number else info.range,
+        f"{info.low:g} .. {info.high:g}" if info.is_number else info.range,
         info.unit,
         "live" if info.live else "structural",
         info.help,

@@ -252,7 +252,7 @@ def _format_value(info: ParameterInfo, value: Value) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return f"'{value}'" if info.pattern else value  # a text may look like a number or a boolean
+        return f"'{value}'" if info.form else value  # a text may look like a number or a boolean
     return _number(value)
 
 
