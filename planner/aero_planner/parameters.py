@@ -183,7 +183,7 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters. Others are left alone.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters, others are not.
     The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:
