@@ -83,14 +83,14 @@ class ParameterInfo:
         return " ".join(part for part in (self.label, self.symbol, unit) if part)
 
     @property
-    def accepts_nothing(self) -> bool:
-        """True for a text that may be empty."""
-        return bool(self.items) or (bool(self.pattern) and re.fullmatch(self.pattern, "") is not None)
-
-    @property
     def is_number(self) -> bool:
         """True for a number, false for a switch, a choice or a text."""
         return not isinstance(self.default, bool | str)
+
+    @property
+    def accepts_nothing(self) -> bool:
+        """True for a text that may be empty."""
+        return bool(self.items) or (bool(self.pattern) and re.fullmatch(self.pattern, "") is not None)
 
     @property
     def range(self) -> str:
@@ -183,8 +183,8 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters, others are not. The
-    name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters, others are not.
+    The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:
         ValueError: a parameter has the wrong type or is out of bounds; names parameter, value and range.
@@ -271,9 +271,10 @@ class SectionedConfig:
 
     @classmethod
     def check_section(cls, name: Any) -> None:
-        """Raise ValueError, with the nearest known name, if no section `name` exists or has existed."""
+        """Raise ValueError, with the nearest known name, if there is no section `name`, and there was none."""
         known = cls.sections()
-        if name not in known and all(not path.startswith(f"{name}.") for path in (*cls.renamed, *cls.removed)):
+        earlier = {path.partition(".")[0] for path in (*cls.renamed, *cls.removed)}
+        if name not in known and name not in earlier:
             raise ValueError(f"unknown section {name!r}{did_you_mean(name, known)}; known: {', '.join(known)}.")
 
     @classmethod

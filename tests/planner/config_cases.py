@@ -12,6 +12,8 @@ Config = TypeVar("Config", bound=SectionedConfig)
 
 def values_of(info: ParameterInfo) -> st.SearchStrategy:
     """Return a strategy for the valid values of a parameter."""
+    if info.items:
+        return st.lists(st.sampled_from(info.items)).map(", ".join)
     if info.pattern:
         return st.from_regex(info.pattern, fullmatch=True).filter(str.isascii)
     if info.choices:

@@ -11,7 +11,7 @@ from aero_planner.config.presets import PRESETS
 from aero_planner.registry import names
 from aero_planner.stages.memory.parameters import memory_duration
 
-NUMBERS = [info for info in PlannerConfig.parameters() if type(info.default) in (int, float)]
+NUMBERS = [info for info in PlannerConfig.parameters() if info.is_number]
 
 every_parameter = pytest.mark.parametrize("info", PlannerConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
@@ -27,7 +27,7 @@ def test_every_parameter_is_described_and_its_default_is_valid(info: ParameterIn
     assert info.check(info.default) == info.default
     if info.choices:
         assert info.default in info.choices and len(set(info.choices)) == len(info.choices)
-    elif not info.pattern:
+    elif info.is_number:
         assert math.isfinite(info.low) and math.isfinite(info.high) and info.low < info.high
     if info.scale == "log":
         assert info.low > 0
@@ -238,8 +238,7 @@ def test_stages_have_one_form_and_the_order_in_which_they_act():
     [
         ("wayout", r"stages\.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen_space, "),
         ("way_out, costs", r"stages\.active has 'costs'.*; known: "),
-        ("way_out,", r"stages\.active is 'way_out,'; it must be names separated by commas\."),
-        ("way_out memory", r"stages\.active is .*; it must be names separated by commas\."),
+        ("way_out memory", r"stages\.active has 'way_out memory'"),
         (None, r"stages\.active is None; it must be names separated by commas\."),
     ],
 )
