@@ -258,7 +258,9 @@ def test_live_changes_keep_the_buffers(device: str):
     case, planner = random_case(0), Planner(config_of(), device=device)
     before = case.plan(planner)
     pointers = [array.ptr for array in (planner.outputs.controls, planner.command, planner.points, planner.params)]
-    planner.configure(planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead": 0.5, "anchors.lookahead_time": 0.0}))
+    planner.configure(
+        planner.config.replace({"costs.q_track": 50.0, "anchors.lookahead": 0.5, "anchors.lookahead_time": 0.0})
+    )
     after = case.plan(planner)
     assert not np.array_equal(before.controls, after.controls)
     assert np.linalg.norm(after.anchors[7] - case.position) < np.linalg.norm(before.anchors[7] - case.position)

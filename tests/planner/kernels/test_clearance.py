@@ -54,7 +54,13 @@ _PLANNERS: dict[str, Planner] = {}
     speed=st.floats(0.0, 30.0),
 )
 def test_clearance_is_exact_for_any_grid(
-    device: str, seed: int, range_max: float, distance_max: float, distance_min: float, safe_clearance: float, speed: float
+    device: str,
+    seed: int,
+    range_max: float,
+    distance_max: float,
+    distance_min: float,
+    safe_clearance: float,
+    speed: float,
 ):
     """Vary the width of the cells, and let rollouts leave the grid; `distance_min` is a share of `distance_max`."""
     config = config_of(

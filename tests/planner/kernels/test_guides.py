@@ -123,9 +123,7 @@ def test_braking_guides_fan_out_and_end_at_rest_within_their_reach(device: str, 
         turned = np.array([np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y, z])
         end = case.position + reach * config.horizon * turned
         np.testing.assert_allclose(planner.outputs.anchors.numpy()[0, row], end, atol=1e-5)
-        guide = reference.quintic(
-            case.position, case.velocity, case.acceleration, end, np.zeros(3), config.horizon
-        )
+        guide = reference.quintic(case.position, case.velocity, case.acceleration, end, np.zeros(3), config.horizon)
         np.testing.assert_allclose(
             planner.outputs.guides.numpy()[0, row], reference.sample_guide(guide, times), atol=1e-4
         )

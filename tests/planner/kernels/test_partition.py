@@ -119,9 +119,7 @@ def test_equal_ranges_take_the_first_point(device: str):
     case.position, case.quaternion = np.zeros(3), np.array([1.0, 0, 0, 0])
     for points in ([a, b], [b, a]):
         case.points = np.array(points, np.float32)
-        plan = case.plan(
-            Planner(config_of(unseen_space__continuation=0.0), device=device)
-        )
+        plan = case.plan(Planner(config_of(unseen_space__continuation=0.0), device=device))
         np.testing.assert_array_equal(kept_points(plan), [points[0]])
 
 

@@ -58,7 +58,9 @@ def test_steps_are_those_of_the_equations(device: str, seed: int, drag: float):
     assert jerk.max() <= limit * 1.0001 and (jerk > limit * 0.999).sum() > 10
     # A time step hardly differs from the differential equation itself.
     exact = integrate(v, np.zeros(4), u, config, disturbance, drag, parts=100)
-    assert np.linalg.norm(p - exact[0], axis=1).max() < 0.05 and np.linalg.norm(velocities - exact[1], axis=1).max() < 0.1
+    assert (
+        np.linalg.norm(p - exact[0], axis=1).max() < 0.05 and np.linalg.norm(velocities - exact[1], axis=1).max() < 0.1
+    )
 
 
 def test_a_finer_step_is_nearer_to_the_differential_equation():
@@ -76,7 +78,7 @@ def test_the_thrust_gives_the_acceleration_and_the_yaw_turns_at_its_rate(device:
     level = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
     _, _, q, acting = roll_out(NAME, config, device, np.zeros(3), level, np.zeros(4), u)
     for t, (attitude, a) in enumerate(zip(q, acting, strict=True)):
-        f = a[:3] + [0.0, 0.0, config.vehicle.gravity]
+        f = np.add(a[:3], [0.0, 0.0, config.vehicle.gravity])
         np.testing.assert_allclose(reference.rotation(attitude)[:, 2], reference.unit(f), atol=1e-5)
         # Of q = tilt (x) yaw, tilt is the shortest rotation to the thrust: yaw is the angle of (w, z).
         turned = heading + config.sampling.dt * u[: t + 1, 3].sum()
@@ -85,7 +87,9 @@ def test_the_thrust_gives_the_acceleration_and_the_yaw_turns_at_its_rate(device:
         assert abs((yaw - turned + np.pi) % (2.0 * np.pi) - np.pi) < 2e-3
 
 
-@pytest.mark.parametrize("changes", [{}, {"vehicle__mass": 2.0, "vehicle__thrust_max": 30.0, "vehicle__rate_z_max": 1.0}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"vehicle__mass": 2.0, "vehicle__thrust_max": 30.0, "vehicle__rate_z_max": 1.0}]
+)
 def test_controls_are_bounded_by_thrust_and_yaw_rate(device: str, changes: dict[str, Any]):
     config, rng = config_of(**changes), np.random.default_rng(0)
     v, wanted = config.vehicle, rng.normal(size=(500, 4)) * [8.0, 8.0, 15.0, 3.0]

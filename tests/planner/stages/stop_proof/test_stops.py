@@ -190,11 +190,13 @@ def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, cou
 
 @functools.cache
 def fallback_kernel(composition: Composition) -> Any:
-    choose, Views = fallback(composition), composition.Views
+    choose = fallback(composition)
+    Views: Any = composition.Views
 
     @wp.kernel(module="unique", enable_backward=False)
     def fallback_kernel(
-        status: int, demanded: float, scores: Scores, views: Views, params: wp.array(dtype=Params), out: wp.array(dtype=int)
+        status: int, demanded: float, scores: Scores, views: Views, params: wp.array(dtype=Params),
+        out: wp.array(dtype=int),
     ):  # fmt: skip
         out[0] = choose(0, 1, status, demanded, scores, views, params[0])
 
@@ -230,7 +232,14 @@ def test_static_obstacles_decide_first_what_is_flown_instead(
     views = composition.Views()
     views.stop_proof = bundle(StopProof, stop_ready=ready, least_clearance=least, static_clearance=start)
     out = wp.zeros(1, dtype=int, device=device)
-    inputs = [int(status), 0.3, bundle(Scores, least_clearance=least, static_clearance=start), views, planner.params, out]
+    inputs = [
+        int(status),
+        0.3,
+        bundle(Scores, least_clearance=least, static_clearance=start),
+        views,
+        planner.params,
+        out,
+    ]
     wp.launch(fallback_kernel(composition), 1, inputs=inputs, device=device)
     if flown == 6 and status == PlanStatus.STALE_CLOUD:
         flown = 2 if fan[1] > fan[0] else 1
