@@ -239,7 +239,7 @@ class SectionedConfig:
             if not isinstance(getattr(self, name), section):
                 raise ValueError(f"section {name!r} is {getattr(self, name)!r}; it must be a {section.__name__}.")
         for path_min, path_max in self._limits():
-            low, high = self.get(path_min), self.get(path_max)
+            low, high = float(self.get(path_min)), float(self.get(path_max))
             if low >= high:
                 message = f"{path_min} is {low}; it must be less than {path_max}, which is {high}."
                 raise ContradictionError(message, path_min, path_max)

@@ -8,7 +8,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.recordings import RecordingSource, open_recording
 from aero_viz.recordings.source import MAX_POINTS
-from tests.planner.pillars import movers_of, pillar_points
+from tests.planner.pillars import dynamic_obstacles, pillar_points
 
 
 @pytest.fixture
@@ -112,7 +112,7 @@ def test_what_moves_is_predicted_from_when_it_was_measured(source_of, has_point_
     source.seek(1.0)
     o = source.observe()
     planner = Planner(PlannerConfig.preset("fast-cpu"), device="cpu")
-    positions, velocities, _ = movers_of(planner.plan(o.state, o.goal, o.sweeps))
+    positions, velocities, _ = dynamic_obstacles(planner.plan(o.state, o.goal, o.sweeps))
     now = o.time + (0.0 if has_point_times else 0.1)
     np.testing.assert_allclose(positions, [np.array([5.0, -1.0]) + now * velocity[:2]], atol=0.1)
     np.testing.assert_allclose(velocities, [velocity[:2]], atol=0.15)

@@ -7,6 +7,7 @@ from typing import Any
 import warp as wp
 
 from aero_planner.config import PlannerConfig
+from aero_planner.registry import names
 
 PATHS = {
     "m": "vehicle.mass",
@@ -53,7 +54,8 @@ def parameters_of(config: PlannerConfig) -> Any:
     """
     paper, known = PlannerConfig.preset("paper"), {*PATHS.values(), *SIZES}
     options = [info.path for info in config.parameters() if config.get(info.path) != paper.get(info.path)]
-    foreign = [path for path in options if path not in known]
+    # What stages that are not active would do does not matter; an active one differs in stages.active.
+    foreign = [path for path in options if path not in known and path.split(".")[0] not in names("stages")]
     if foreign:
         raise ValueError(
             f"the paper has no {', '.join(foreign)}: the reference takes the preset 'paper' with other values of "

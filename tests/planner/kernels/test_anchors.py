@@ -75,7 +75,7 @@ def test_a_goal_at_the_drone_holds_its_position(device: str):
     case = random_case(3, speed=0.0, count=0, tilt=0.0)
     case.goal = case.position
     case.acceleration = np.zeros(3)
-    still = {f"sampling__variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
+    still: dict[str, Any] = {f"sampling__variance_{name}": 0.0 for name in ("thrust", "rate_xy", "rate_z")}
     plan = case.plan(Planner(config_of(**still), device=device))
     np.testing.assert_allclose(plan.initial_endpoints, case.position[None].repeat(16, 0), atol=1e-5)
     np.testing.assert_allclose(plan.anchors, plan.initial_endpoints, atol=1e-5)

@@ -26,8 +26,12 @@ def roll_out_kernel(model: VehicleModel) -> Any:
     @wp.kernel(module="unique", enable_backward=False)
     def roll_out(
         p0: wp.vec3, v0: wp.vec3, q0: wp.vec4, acting0: wp.vec4, controls: wp.array(dtype=wp.vec4), d: wp.vec3,
+<<<<<<< HEAD
         k: float,
         params: wp.array(dtype=Params), p: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+=======
+        k: float, params: wp.array(dtype=Params), p: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+>>>>>>> core-a
         q: wp.array(dtype=wp.vec4), acting: wp.array(dtype=wp.vec4),
     ):  # fmt: skip
         x = p0
@@ -151,7 +155,8 @@ def test_nominal_controls_count_on_disturbance_and_drag(device: str, name: str):
             case.position, case.velocity, case.quaternion, np.zeros(3), time=0.1 * k, disturbance=given
         )
         plan = planner.plan(state, Goal(case.goal), case.points)
-    disturbance, drag = plan.disturbance, plan.drag  # pyright: ignore[reportPossiblyUnboundVariable]
+    outputs = planner.outputs
+    disturbance, drag = outputs.disturbance.numpy()[0].astype(float), float(outputs.drag.numpy()[0])
     assert drag > 0.05 and np.linalg.norm(disturbance) > 1.0
     work, misses = planner.workspace, []
     nominal, acting = work.nominal_controls.numpy()[0, 7], work.control.numpy()[0]

@@ -72,25 +72,31 @@ def recorded(config: PlannerConfig, tuning: KernelTuning, *, batch: int = 1) -> 
     composition = Composition.of(config)
     sizes = Sizes.from_config(config, composition, batch=batch, workers=1, tuning=tuning)
     device = find_device("cpu")
-    of_stages = {
-        stage.name: tuple(kind and allocate(kind, sizes, device) for kind in (stage.arrays, stage.outputs))
-        for stage in composition.stages
-    }
+
+    def made(kind: type | None) -> Any:
+        return None if kind is None else allocate(kind, sizes, device)
+
+    of_stages = {stage.name: (made(stage.arrays), made(stage.outputs)) for stage in composition.stages}
 
     class SweepSizes:
         B, S, P, E = batch, 3, 100, int(COUNTERS)
 
-    table, cloud = (allocate(kind, SweepSizes, device) for kind in (SweepTable, CloudArrays))
-    inputs, outputs, work = (allocate(kind, sizes, device) for kind in (PlannerInputs, PlannerOutputs, Workspace))
-    params = wp.zeros(batch, dtype=Params, device=device)
-    arrays = PlannerArrays(inputs, outputs, work, of_stages, cloud, table.change, params)
+    change, params = allocate(SweepTable, SweepSizes, device).change, wp.zeros(batch, dtype=Params, device=device)
+    arrays = PlannerArrays(
+        made(PlannerInputs), made(PlannerOutputs), made(Workspace), of_stages,
+        allocate(CloudArrays, SweepSizes, device), change, params,
+    )  # fmt: skip
     kernels = [kernel for kernel, _ in Pipeline(config, composition, sizes, tuning, arrays, dry=True).kernels]
     shapes = {name: array.shape for group in arrays.groups() for name, array in as_dict(group).items()}
     return kernels, shapes
 
 
 def description(names: tuple[str, ...], tuning: KernelTuning) -> str:
+<<<<<<< HEAD
     """Return what a planner with these stages launches and allocates: name and code of each kernel, and shapes."""
+=======
+    """Return a hash of what a planner with these stages launches and allocates: kernels with their code, and shapes."""
+>>>>>>> core-a
     kernels, shapes = recorded(config_with(names), tuning)
     launches = [(kernel.func.__module__, kernel.key, kernel.adj.source) for kernel in kernels]
     return hashlib.sha256(repr((launches, shapes)).encode()).hexdigest()

@@ -285,12 +285,10 @@ def test_a_stage_is_added_by_one_folder_and_one_line(device: str, tmp_path: Path
     assert run(PLAN_SHYLY, device, part, path=tmp_path) == "a plan has no attribute 'shyness'"
 
 
-OWN_TERM = """
-import sys
+ALTITUDE = """
 from dataclasses import dataclass
 from typing import Any
 import warp as wp
-from aero_planner import registry
 from aero_planner.costs import CostTerm, Step
 from aero_planner.parameters import ParameterSection, live
 
@@ -302,7 +300,13 @@ class Parameters(ParameterSection, section="altitude"):
 def height(s: Step, c: Any) -> float:
     return c.q_altitude * wp.abs(s.p[2])
 
-registry.add("cost_terms", "altitude", CostTerm("altitude", "altitude", running=height, parameters=Parameters))
+TERM = CostTerm("altitude", "altitude", running=height, parameters=Parameters)
+"""
+
+PLAN_LOW = """
+import sys
+from aero_planner import registry
+registry.add("cost_terms", "altitude", "altitude:TERM")
 import numpy as np
 from aero_planner import Planner, PlannerConfig
 from tests.planner.cases import random_case
@@ -323,9 +327,10 @@ except ValueError as error:
 """
 
 
-def test_a_cost_term_is_added_by_one_line(device: str):
+def test_a_cost_term_is_added_by_one_line(device: str, tmp_path: Path):
+    (tmp_path / "altitude.py").write_text(ALTITUDE)
     expected = "'late' comes too late: add it before anything imports aero_planner.config or Planner."
-    assert run(OWN_TERM, device) == expected
+    assert run(PLAN_LOW, device, path=tmp_path) == expected
 
 
 CLASH = """

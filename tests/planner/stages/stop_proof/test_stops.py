@@ -190,7 +190,8 @@ def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, cou
 
 @functools.cache
 def fallback_kernel(composition: Composition) -> Any:
-    choose, Views = fallback(composition), composition.Views
+    choose = fallback(composition)
+    Views: Any = composition.Views
 
     @wp.kernel(module="unique", enable_backward=False)
     def fallback_kernel(
