@@ -143,11 +143,7 @@ class Plan:
     collision_cost: Array
     """J_col of every instance, shape [M]."""
     clearance: Array
-<<<<<<< HEAD
     """Distance to the nearest filtered point or dynamic obstacle after each control, at most d_max [m], [M, N]."""
-=======
-    """Distance to the nearest filtered point or dynamic obstacle after each control [m], at most d_max, [M, N]."""
->>>>>>> core-a
     best: int | NDArray[np.int32]
     """Index of the instance to fly: `controls[best]`."""
     status: PlanStatus | NDArray[np.int32]

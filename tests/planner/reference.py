@@ -320,11 +320,15 @@ def J_blocked(p: Array, goal: Array, points: Array, config: PlannerConfig) -> fl
     return config.costs.q_blocked * length * float((clearance(places, points, 2 * d_min + 1) < d_min).mean())
 
 
-def J_escape(p: Array, places: Array, goal: Array, config: PlannerConfig) -> float:
-    """Return q_escape times the depth of p in the neighbourhoods of places [n, 3], which fades out near the goal."""
+def J_escape(p: Array, places: Array, nearest: float, goal: Array, config: PlannerConfig) -> float:
+    """Return q_escape times the depth of p in the neighbourhoods of places [n, 3].
+
+    It fades out near the goal, and within 2 m nearer to it than `nearest`, where the drone has been.
+    """
     radius, distance = config.way_out.radius, float(np.linalg.norm(p - goal))
     depth = np.maximum(radius - np.linalg.norm(places - p, axis=1), 0.0).sum()
-    return float(config.way_out.q_escape * depth * min(1.0, distance / (0.5 * radius)))
+    share = np.clip(1.0 + (distance - nearest) / 2.0, 0.0, 1.0)
+    return float(config.way_out.q_escape * share * depth * min(1.0, distance / (0.5 * radius)))
 
 
 def S2(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig) -> float:

@@ -212,7 +212,8 @@ def test_each_is_its_equation(situation: Situation, terms: CostTerms):
         ends = {"blocked_path": reference.J_blocked(p[-1], p_goal, kept_points(plan), config)}
         if "escape" in values:
             places = history["places"][0, : history["place_count"][0]].astype(np.float64)
-            ends["escape"] = reference.J_escape(p[-1], places, p_goal, config)
+            nearest = float(history["place_nearest"][0])
+            ends["escape"] = reference.J_escape(p[-1], places, nearest, p_goal, config)
         for name, end in ends.items():
             if name == "escape" or away_from_steps(terms, situation)[i]:
                 np.testing.assert_allclose(values[name][i], [*[0.0] * (len(p) - 1), end], rtol=1e-4, atol=0.02)

@@ -78,11 +78,7 @@ def test_the_thrust_gives_the_acceleration_and_the_yaw_turns_at_its_rate(device:
     level = np.array([np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)])
     _, _, q, acting = roll_out(NAME, config, device, np.zeros(3), level, np.zeros(4), u)
     for t, (attitude, a) in enumerate(zip(q, acting, strict=True)):
-<<<<<<< HEAD
-        f = a[:3] + np.array([0.0, 0.0, config.vehicle.gravity])
-=======
         f = np.add(a[:3], [0.0, 0.0, config.vehicle.gravity])
->>>>>>> core-a
         np.testing.assert_allclose(reference.rotation(attitude)[:, 2], reference.unit(f), atol=1e-5)
         # Of q = tilt (x) yaw, tilt is the shortest rotation to the thrust: yaw is the angle of (w, z).
         turned = heading + config.sampling.dt * u[: t + 1, 3].sum()

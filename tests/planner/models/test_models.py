@@ -26,12 +26,7 @@ def roll_out_kernel(model: VehicleModel) -> Any:
     @wp.kernel(module="unique", enable_backward=False)
     def roll_out(
         p0: wp.vec3, v0: wp.vec3, q0: wp.vec4, acting0: wp.vec4, controls: wp.array(dtype=wp.vec4), d: wp.vec3,
-<<<<<<< HEAD
-        k: float,
-        params: wp.array(dtype=Params), p: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
-=======
         k: float, params: wp.array(dtype=Params), p: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
->>>>>>> core-a
         q: wp.array(dtype=wp.vec4), acting: wp.array(dtype=wp.vec4),
     ):  # fmt: skip
         x = p0

@@ -92,11 +92,7 @@ def recorded(config: PlannerConfig, tuning: KernelTuning, *, batch: int = 1) -> 
 
 
 def description(names: tuple[str, ...], tuning: KernelTuning) -> str:
-<<<<<<< HEAD
-    """Return what a planner with these stages launches and allocates: name and code of each kernel, and shapes."""
-=======
     """Return a hash of what a planner with these stages launches and allocates: kernels with their code, and shapes."""
->>>>>>> core-a
     kernels, shapes = recorded(config_with(names), tuning)
     launches = [(kernel.func.__module__, kernel.key, kernel.adj.source) for kernel in kernels]
     return hashlib.sha256(repr((launches, shapes)).encode()).hexdigest()

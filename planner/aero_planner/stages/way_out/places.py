@@ -31,13 +31,7 @@ class Places:
     places: wp.array2d(dtype=wp.vec3)  # [B, PLACES], world frame [m]
     place_count: wp.array(dtype=int)  # [B], number of places since the goal was set
     place_goal: wp.array(dtype=wp.vec3)  # [B], goal for which the memory holds [m]
-<<<<<<< HEAD
     place_nearest: wp.array(dtype=float)  # [B], distance to the goal when progress was last made [m]
-=======
-    place_nearest: wp.array(
-        dtype=float
-    )  # [B], distance to the goal when progress was last made [m]; 0 after an arrival
->>>>>>> core-a
     place_idle: wp.array(dtype=float)  # [B], time since then, or since the last place was remembered [s]
 
 

@@ -145,13 +145,8 @@ def test_guides_rollouts_and_stops_count_on_them(device: str, delay: float, drag
         forward = reference.rotation(quaternion)[:, 0]
         yaw = np.arctan2(3.0 - position[1], 20.0 - position[0]) - np.arctan2(forward[1], forward[0])
         expected = reference.follow_guide(
-<<<<<<< HEAD
-            plan.guide_coefficients[m].astype(np.float64), quaternion, yaw / config.horizon, work.control.numpy()[0],
-            config, disturbance, k,
-=======
             plan.guide_coefficients[m].astype(np.float64), quaternion, yaw / config.horizon,
             work.control.numpy()[0], config, disturbance, k,
->>>>>>> core-a
         )  # fmt: skip
         np.testing.assert_allclose(work.nominal_controls.numpy()[0, m], expected, atol=0.02)
         x = reference.roll_out(

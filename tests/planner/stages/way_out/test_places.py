@@ -48,7 +48,8 @@ def test_rollouts_that_end_near_places_without_progress_cost_more(device: str, r
     history = planner.history().arrays
     places = history["places"][0, : history["place_count"][0]].astype(np.float64)
     ends = last.positions[:, -1].astype(np.float64)
-    expected = [reference.J_escape(p, places, case.goal, planner.config) for p in ends]
+    nearest = float(history["place_nearest"][0])
+    expected = [reference.J_escape(p, places, nearest, case.goal, planner.config) for p in ends]
     np.testing.assert_allclose(last.stage2_cost - last.goal_cost, expected, rtol=1e-4, atol=0.02)
     assert len(places) >= 2 and max(expected) > 100.0
 
