@@ -1,45 +1,59 @@
-"""Add a cost to the choice between the instances of a plan: here, a preference for a height of 1 m.
+"""Add a cost inside the planner, in Stage I and Stage II: here, a preference for a height of 1 m.
 
-A plan contains one optimised trajectory per instance, with its cost and clearance. This example adds a term to the cost
-and flies the best instance among those that keep a safe distance. It needs no change of the planner, but the optimiser
-itself does not see the term. A term inside the optimiser is one function in planner/aero_planner/kernels/costs.py and
-one parameter in config/sections/costs.py, see CONTRIBUTING.md.
+The term has its slider, flag and bar in every command of aero-viz, such as `own_cost_term.py demo random_clutter` or
+`own_cost_term.py fly forest --height.q-height 30`. Without a command, flights with and without the term are compared.
 """
 
-import dataclasses
+import sys
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import warp as wp
 
-from aero_planner import Plan, Planner, PlannerConfig, PlanStatus
-from aero_viz.flight import FlightSource
+import aero_planner
+import aero_viz.flight
+from aero_planner import registry
+from aero_planner.costs import CostTerm, Step
+from aero_planner.parameters import ParameterSection, live
+from aero_viz.cli import main
 from aero_viz.scenes import scene
 
-HEIGHT = 1.0  # [m]
-SAFE_CLEARANCE = PlannerConfig().costs.distance_min  # d_min [m]
+
+@dataclass(frozen=True)
+class Height(ParameterSection, section="height"):
+    """A height to keep."""
+
+    q_height: float = live(0.0, "1/m", 0.0, 1e3, "Weight of the distance from that height.", label="Height weight")
+    kept_height: float = live(1.0, "m", -1e3, 1e3, "Height to keep, world frame.", label="Height to keep")
 
 
-def height_cost(positions: np.ndarray) -> np.ndarray:
-    """Return the mean deviation from HEIGHT of trajectories [m], shape [M, N+1, 3], as a cost of shape [M]."""
-    return np.abs(positions[..., 2] - HEIGHT).mean(axis=-1)
+@wp.func
+def height_cost(s: Step, c: Any) -> float:
+    """Return the cost of a time step with the state s; c holds the live parameters by name."""
+    return c.q_height * wp.abs(s.p[2] - c.kept_height)
 
 
-def with_height_cost(plan: Plan, weight: float) -> Plan:
-    """Return the plan with the best safe instance under the additional cost; a plan that brakes stays as it is."""
-    is_safe = plan.clearance.min(axis=-1) >= SAFE_CLEARANCE
-    if plan.status != PlanStatus.OK or not is_safe.any():
-        return plan
-    cost = np.where(is_safe, plan.stage2_cost + weight * height_cost(plan.positions), np.inf)
-    return dataclasses.replace(plan, best=int(np.argmin(cost)))
+term = CostTerm("height", "height to keep", running=height_cost, parameters=Height)
+registry.add("cost_terms", "height", term)  # before the configuration is made
 
 
-for weight in (0.0, 200.0):
-    planner = Planner(PlannerConfig(), seed=1)
-    source = FlightSource(scene("random_clutter", seed=2), seed=1)
-    heights = []
-    while source.outcome is None:
-        seen = source.observe()
-        plan = seen.plan_with(planner)
-        source.advance(with_height_cost(plan, weight))
-        heights.append(np.asarray(seen.state.position)[2])
-    deviation = np.abs(np.array(heights) - HEIGHT).mean()
-    print(f"weight {weight:5g}: {source.outcome}, {deviation:.2f} m off the height on average")
+def compare() -> None:
+    """Fly with and without the term."""
+    for weight in (0.0, 100.0):
+        planner = aero_planner.Planner(aero_planner.PlannerConfig().replace({"height.q_height": weight}), seed=1)
+        source = aero_viz.flight.FlightSource(scene("random_clutter", seed=2), seed=1)
+        heights, costs = [], []
+        while source.outcome is None:
+            seen = source.observe()
+            plan = seen.plan_with(planner)
+            terms = planner.cost_terms([int(plan.best)])
+            costs.append(terms.values[0, terms.terms.index(term)].sum())  # of the N time steps
+            heights.append(np.asarray(seen.state.position)[2])
+            source.advance(plan)
+        off = np.abs(np.array(heights) - 1.0).mean()
+        print(f"weight {weight:3g}: {source.outcome}, {off:.2f} m off the height, at a cost of {np.mean(costs):.0f}")
+
+
+if __name__ == "__main__":
+    main() if sys.argv[1:] else compare()

@@ -13,13 +13,14 @@ SERVED = "own_layer"
 """The example that serves its page until Enter is pressed."""
 EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 OUTPUT = {
-    "plan_once": r"OK: 17 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
+    "plan_once": r"OK: 16 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
     "fly": r"forest.*: arrived after .*log: fly\.mcap, ",
     "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
     "replay_recording": r"replay_recording\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
     "own_source": r"crossing ball: arrived after ",
     SERVED: r"http://127\.0\.0\.1:\d+",
-    "own_cost_term": r"weight +0: arrived, .*weight +200: arrived, ",
+    "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at a cost of \d",
+    "own_model": r"arrived after [34]\.\d m, at least 0\.[3-9]\d m from all pillars",
     "own_vehicle": r"default: \w+ after .*matched: arrived after ",
 }
 
