@@ -18,6 +18,8 @@ PLACES = wp.constant(16)
 """Number of places that are remembered; a new one replaces the oldest."""
 _PROGRESS = wp.constant(0.3)
 """Decrease of the distance to the goal that counts as progress, at most [m]."""
+_ARRIVED = wp.constant(1.0)
+"""Distance within which the drone has been at its goal [m]."""
 _AHEAD = wp.constant(2.0)
 """Distance by which a rollout must end nearer to the goal than the drone has been to cost nothing [m]."""
 _SLOW = wp.constant(3.0)
@@ -31,7 +33,7 @@ class Places:
     places: wp.array2d(dtype=wp.vec3)  # [B, PLACES], world frame [m]
     place_count: wp.array(dtype=int)  # [B], number of places since the goal was set
     place_goal: wp.array(dtype=wp.vec3)  # [B], goal for which the memory holds [m]
-    place_nearest: wp.array(dtype=float)  # [B], distance to the goal when progress was last made [m]
+    place_nearest: wp.array(dtype=float)  # [B], distance to the goal at the last progress [m]; 0 after an arrival
     place_idle: wp.array(dtype=float)  # [B], time since then, or since the last place was remembered [s]
 
 
@@ -89,8 +91,9 @@ def remember_place(
 ):
     """Remember the position if the drone has made no progress for a while; forget all places for a new goal.
 
-    Of a slow drone, no more progress is asked than a third of what its speed limit allows in that time. Launched over
-    [B].
+    Of a slow drone, no more progress is asked than a third of what its speed limit allows in that time. One that has
+    been at its goal makes no more progress and remembers nothing: it must be able to stay, or to come back. Launched
+    over [B].
     """
     b = wp.tid()
     c = params[b]
@@ -108,10 +111,13 @@ def remember_place(
         count = 0
         nearest = distance
         idle = 0.0
+    elif distance < _ARRIVED:
+        count = 0
+        nearest = 0.0
     elif distance < nearest - wp.min(_PROGRESS, c.speed_limit * c.patience / 3.0):
         nearest = distance
         idle = 0.0
-    elif idle > c.patience:
+    elif idle > c.patience and nearest > 0.0:
         memory.places[b, count % PLACES] = p
         count += 1
         idle = 0.0
