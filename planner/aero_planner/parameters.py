@@ -178,8 +178,8 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters. Other fields are left
-    alone.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters. Other fields are
+    left alone.
     The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:
