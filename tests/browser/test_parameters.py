@@ -105,6 +105,23 @@ def test_what_differs_is_marked_with_its_old_value_and_a_reset(tune):
     assert "decay" in desk.page.evaluate("getSelection().toString()")
 
 
+def test_a_stage_is_left_out_by_its_box_and_comes_back_by_a_reset(tune):
+    desk, session = tune, tune.session
+    index, source = session.frame.index, session.frame.source
+    desk.choose("Show", "expert")
+    desk.checkbox("Memory").click()
+    desk.click("Apply")
+    desk.wait_for(lambda: "memory" not in session.frame.config.stages.names, "a plan without the stage")
+    assert session.frame.index == index and session.frame.source is source, "the flight goes on"
+    flags = desk.page.locator(".aero-flags")
+    wanted = f"--stages.active '{session.config.stages.active}'"
+    desk.wait_for(lambda: flags.inner_text() == wanted, wanted)
+    desk.control("was all").get_by_role("button", name="reset").click()
+    desk.wait_for(lambda: "memory" in session.frame.config.stages.names, "all stages")
+    desk.wait_for(lambda: desk.checkbox("Memory").is_checked(), "the box to show it")
+    desk.choose("Show", "basic")
+
+
 def test_a_refused_value_says_why_in_place_and_the_old_one_stays(tune):
     desk = tune
     number = desk.parameter("costs.distance_min").locator("input")

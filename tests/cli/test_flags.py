@@ -9,6 +9,7 @@ from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
 from aero_viz.cli.page import flight_opener
 from aero_viz.cli.renamed_flags import replace_renamed_flags
+from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.sensors import LIDARS
 
@@ -74,7 +75,7 @@ def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str])
     sections = {"stages": type(planner.stages)(active="memory,way_out"), "vehicle": type(planner.vehicle)(model="ctbr")}
     config = ConfigFlags("default", type(planner)(**sections)).load()
     assert config.stages.names == ("way_out", "memory") and config.stages.active == "way_out, memory"
-    with pytest.raises(ValueError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
+    with pytest.raises(UserError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
         ConfigFlags("default", type(planner)(stages=type(planner.stages)(active="wayout"))).load()
     code, text, _ = run(capsys, "fly", "--help")
     assert code == 0 and "--vehicle.model {ctbr,acceleration" in terminal_text(text)

@@ -134,7 +134,7 @@ def test_a_fast_obstacle_is_named_with_its_speed():
 
 def test_an_obstacle_that_comes_out_from_behind_another_was_occluded():
     """It moves across the way of the drone, behind a wall that ends beside the way."""
-    pillar, motion = [[9.0, -6.0, 0, 0, 0, 1, 0.5, 8]], [[0.0, 4.0, 40.0]]
+    pillar, motion = [[9.0, -5.2, 0, 0, 0, 1, 0.5, 8]], [[0.0, 3.4, 40.0]]
     content = {"name": "test", "start": [0, 0, 2], "goal": [25, 0, 2], "cylinders": pillar, "motion": motion}
     world = World.from_dict({**content, "boxes": [GROUND, [8.0, -5.8, 4, 0.2, 10, 8, 0]]})
     config = OPEN_ABOVE.replace(

@@ -4,24 +4,7 @@ import pytest
 from aero_planner.history import History
 from aero_viz.session.timeline import Checkpoint, Timeline
 
-HISTORY = History(
-    controls=np.zeros((1, 2, 4), np.float32),
-    start_control=np.zeros((1, 4), np.float32),
-    end=np.zeros((1, 3), np.float32),
-    waypoint=np.zeros((1, 3), np.float32),
-    time=np.zeros(1),
-    tick=np.zeros(1, np.int32),
-    mean_disturbance=np.zeros((1, 3), np.float32),
-    drag_means=np.zeros((1, 2), np.float32),
-    view_quaternion=np.zeros((1, 4), np.float32),
-    stop=np.zeros((1, 4, 4), np.float32),
-    stop_age=np.zeros(1, np.float32),
-    places=np.zeros((1, 16, 3), np.float32),
-    place_count=np.zeros(1, np.int32),
-    place_goal=np.zeros((1, 3), np.float32),
-    place_nearest=np.zeros(1, np.float32),
-    place_idle=np.zeros(1, np.float32),
-)
+HISTORY = History({"tick": np.zeros(1, np.int32)})
 
 
 def flown(count: int) -> Timeline:

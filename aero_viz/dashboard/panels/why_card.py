@@ -96,14 +96,19 @@ def _table(evidence: Evidence, instance: int) -> str:
     rows = ""
     for name, label in labels.items():
         if any(by_term.get(name) for by_term in sums):
-            left, right = (f"{by_term[name]:.4g}" if name in by_term else "" for by_term in sums)
+            left, right = (figure(by_term[name]) if name in by_term else "" for by_term in sums)
             rows += f"<div>{markup.muted(label)}</div><div>{left}</div><div>{right}</div>"
     first, second = (sum(by_term.values()) for by_term in sums)
     return (
         '<div class="aero-term-table" style="display:grid;grid-template-columns:1fr auto auto;gap:1px 12px;'
         f'text-align:right;margin:6px 0"><div></div><div>S1</div><div>S2</div>{rows}'
-        f"<div>all</div><div>{first:.4g}</div><div>{second:.4g}</div></div>"
+        f"<div>all</div><div>{figure(first)}</div><div>{figure(second)}</div></div>"
     )
+
+
+def figure(value: float) -> str:
+    """Return a cost with four digits, or as a whole number."""
+    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
 
 
 def _sums(costs: CostTerms, row: int) -> dict[str, float]:
