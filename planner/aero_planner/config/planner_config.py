@@ -82,8 +82,8 @@ class PlannerConfig(SectionedConfig):
 
     @property
     def farthest_range(self) -> float:
-        """Range beyond which points are ignored, which grows with the speed limit [m]."""
-        return max(self.partition.range_max, 2.0 * self.lookahead)
+        """Range beyond which points are ignored, which grows with the speed limit as the look-ahead does [m]."""
+        return max(self.partition.range_max, 2.0 * self.anchors.lookahead_time * self.vehicle.speed_limit)
 
     @property
     def fine_shape(self) -> tuple[int, int]:

@@ -37,8 +37,8 @@ def longest_lookahead(params: Params) -> float:
 
 @wp.func
 def farthest(params: Params) -> float:
-    """Return the range beyond which points are ignored [m]."""
-    return wp.max(params.range_max, 2.0 * longest_lookahead(params))
+    """Return the range beyond which points are ignored, which grows with the speed limit as the look-ahead does [m]."""
+    return wp.max(params.range_max, 2.0 * params.lookahead_time * params.speed_limit)
 
 
 @wp.func

@@ -105,11 +105,20 @@ def test_points_that_are_not_finite_are_dropped_and_counted(device: str, seed: i
 def test_points_outside_range_min_and_range_max_are_ignored(device: str):
     # Axis-aligned, so that the ranges are exact.
     points = np.array([[2.0, 0, 0], [0, 8.0, 0], [-1.75, 0, 0], [0, -8.25, 0]], np.float32)
-    config = config_of(partition__range_min=2.0, partition__range_max=8.0, anchors__lookahead=3.0)
+    config = config_of(partition__range_min=2.0, partition__range_max=8.0)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
     plan = case.plan(Planner(config, device=device))
     assert {tuple(p) for p in kept_points(plan)} == {(2.0, 0.0, 0.0), (0.0, 8.0, 0.0)}
+
+
+@pytest.mark.parametrize(("speed_limit", "expected"), [(7.0, 6.0), (9.0, 9.0), (20.0, 20.0)])
+def test_a_fast_drone_sees_farther(device: str, speed_limit: float, expected: float):
+    """Twice its look-ahead distance; a longer look-ahead by itself changes nothing."""
+    config = config_of(partition__range_max=6.0, vehicle__speed_limit=speed_limit, anchors__lookahead=12.0)
+    config = config.replace({"anchors.lookahead_time": 0.5 if speed_limit > 7.0 else 0.0})
+    plan = random_case(0, count=0).plan(Planner(config, device=device))
+    assert config.farthest_range == expected and (plan.fine_range == expected).all()
 
 
 def test_equal_ranges_take_the_first_point(device: str):
