@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.arrays import fine_shape
 from aero_planner.benchmark import elapsed_ms
 from aero_planner.cli_util import run_command
 from aero_planner.forest_cloud import forest_flight
-from aero_planner.kernels.guides import BRAKING_CANDIDATES
+from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.mppi import PROBES
 from benchmarks.common import config_of, machine, make_parser, positive
 from benchmarks.operations import Latency, nominal_controls, partition_point, rollout
@@ -84,11 +83,12 @@ class Floor:
 def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, batch: int = 1) -> dict[str, Floor]:
     """Return the floor of each stage, for P points of which `kept` remain."""
     M, N, K = len(config.kinds), config.sampling.steps, config.sampling.samples
-    cells = int(np.prod(fine_shape(config)))
+    cells = int(np.prod(config.fine_shape))
     latency = machine.latency
     sampled, final = rollout(latency, N), rollout(latency, N, noisy=False)
     guided, point = nominal_controls(latency, N), partition_point(latency)
-    rows = N + (PROBES if config.costs.q_blocked > 0.0 else 0)
+    rows = N + (int(PROBES) if config.costs.q_blocked > 0.0 else 0)
+    stopping = M + int(BRAKING_FAN)
     # Per position: its cell of the grid, one distance and its cost.
     position = 9 + 8 + 6
     look_up = 2 * machine.memory + 5 * latency.arithmetic + latency.special
@@ -103,8 +103,7 @@ def floors(config: PlannerConfig, machine: Machine, *, points: int, kept: int, b
         "update": Floor(M * K * (4 + 12 * N), M * K * 4 + M * N * 32, 3 * tree + 2 * latency.special),
         # Includes the braking candidates and the midpoints between states.
         "stage2": Floor(
-            (M + BRAKING_CANDIDATES) * (final.operations + (rows + N * config.candidates.between_steps) * position),
-            (M + BRAKING_CANDIDATES) * N * (16 + 40), final.cycles + look_up,
+            stopping * (final.operations + (rows + N) * position), stopping * N * (16 + 40), final.cycles + look_up,
         ),
     }  # fmt: skip
     return {

@@ -57,7 +57,7 @@ def _config(rows: int, columns: int, samples: int, steps: int) -> PlannerConfig:
     return PlannerConfig().replace(
         {
             "anchors.rows": rows, "anchors.columns": columns, "sampling.samples": samples, "sampling.steps": steps,
-            "candidates.previous": False, "candidates.brake": False,
+            "candidates.previous": False,
         }
     )  # fmt: skip
 

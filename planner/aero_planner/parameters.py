@@ -368,6 +368,8 @@ def with_sections(sections: Mapping[str, type[ParameterSection]]) -> Callable[[t
 
     def decorate(config: type[Config]) -> type[Config]:
         for name, section in sections.items():
+            if name in config.__annotations__:
+                raise ValueError(f"there is a section {name!r} already; give that of {section.__name__} another name.")
             config.__annotations__[name] = section
             setattr(config, name, field(default_factory=section))
         return dataclass(frozen=True)(config)

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.screening import draw_designs, fit_effects, main
 
-CHANGES = [[("costs.q_track", "2"), ("costs.q_track", "9")], [("costs.q_position", "5")], [("escape.radius", "3")]]
+CHANGES = [[("costs.q_track", "2"), ("costs.q_track", "9")], [("costs.q_position", "5")], [("way_out.radius", "3")]]
 FLAT = [change for own in CHANGES for change in own]
 
 

@@ -31,7 +31,7 @@ def test_the_commands_of_every_tick_are_kept():
 def test_px4s_preset_commands_fewer_changes_of_sign():
     """With the lags of a drone with PX4, a free choice among guides that begin at once changes signs twice as often."""
     smooth = PlannerConfig.preset("px4").replace({"vehicle.speed_limit": 5.0, "sampling.samples": 32})
-    free = smooth.replace({"costs.q_control_jump": 0.0, "sampling.nominal_lag": 0.0})
+    free = smooth.replace({"costs.q_control_jump": 0.0})
     vehicle, rules = VehicleModel.from_config(smooth, **PX4_RESPONSE), FlightRules(time_limit=2.5)
     changes = []
     for config in (smooth, free):

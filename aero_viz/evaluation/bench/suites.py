@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from aero_planner.config import Value
+from aero_planner.config import PlannerConfig, Value
 from aero_viz.evaluation.bench.sudden_object import SuddenObject, open_field
 from aero_viz.scenes import World
 
@@ -155,46 +155,31 @@ def _rooms() -> Benchmark:
     )
 
 
+def _without(name: str, stages: Sequence[str]) -> str:
+    return ", ".join(stage for stage in stages if stage != name)
+
+
 def _ablation() -> Benchmark:
     single: dict[str, Value] = {"anchors.columns": 1, "anchors.rows": 1}
-    alone: dict[str, Value] = {"candidates.previous": False, "candidates.brake": False}
+    alone: dict[str, Value] = {"candidates.previous": False}
+    stages = PlannerConfig().stages.names
     variants: list[tuple[str, dict[str, Value]]] = [
         ("as configured", {}),
         ("M = 1: one MPPI and no other candidate", single | alone),
-        ("one anchor, with previous and brake", single),
-        ("anchors not refined", {"anchors.refine": False}),
-        ("no warm start: nominal hover", {"sampling.nominal": "hover"}),
+        ("one anchor, with previous", single),
         *((f"K = {k}", {"sampling.samples": k}) for k in (32, 64, 128, 256)),
         *((f"N = {n}", {"sampling.steps": n}) for n in (15, 20, 25, 30, 35)),
-        ("no previous plan", {"candidates.previous": False}),
-        ("no braking guide", {"candidates.brake": False}),
-        ("full look-ahead from rest", {"anchors.lookahead_rest": 5.0}),
-        ("no wider spread when slow", {"anchors.slow_spread": 1.0}),
-        ("no rise when slow", {"anchors.slow_rise": 1.0, "escape.rise": 1.0}),
-        ("one spread when slow", {"anchors.slow_cycle": 1}),
+        ("no previous plan", alone),
+        *((f"without the stage {name}", {"stages.active": _without(name, stages)}) for name in stages),
+        ("surfaces continued from the present view", {"unseen_space.view_age": 0.0}),
+        ("no wider spread when slow", {"way_out.spread": 1.0}),
+        ("no rise when slow", {"way_out.rise": 1.0}),
+        ("drag not estimated", {"disturbance.drag_time": 0.0}),
         ("white noise", {"sampling.correlation": 0.0}),
-        ("no noise-free sample", {"sampling.keep_nominal": False}),
-        ("the same noise in every plan", {"sampling.fresh_noise": False}),
         ("no cost-to-go", {"costs.q_blocked": 0.0}),
         ("no price on excess speed", {"costs.q_speed": 0.0}),
-        ("memory of one second", {"partition.memory_time": 1.0, "partition.memory_distance": 0.0}),
-        ("surfaces not continued", {"partition.continue_below": 0.0, "partition.continue_above": 0.0}),
-        ("surfaces continued from the present view", {"partition.view_age": 0.0}),
-        ("surfaces continued behind points only", {"partition.continue_before": 1000.0}),
-        ("stops not proven", {"candidates.prove_stop": "off"}),
-        ("stops outside of seen space", {"candidates.stop_seen": False}),
-        ("braking into unseen space", {"candidates.brake_seen": False}),
-        ("stops seen through holes in surfaces", {"candidates.stop_seen_closing": False}),
-        ("braking instead of the widest stop", {"candidates.widest_stop": False}),
         ("no margin per speed", {"candidates.speed_margin": 0.0}),
-        ("no way out", {"escape.q_escape": 0.0}),
-        ("escape cost also nearer to the goal", {"escape.ahead": 1000.0}),
-        ("long guides near remembered places", {"escape.guide_depth": 400.0}),
-        ("no discount of the previous plan", {"escape.previous_discount": 0.0}),
-        ("motion not predicted", {"partition.predict": False}),
         ("the delay is not known", {"vehicle.delay": 0.0001}),  # 0 would be replaced by that of the drone
-        ("disturbances not estimated", {"vehicle.disturbance_time": 0.0}),
-        ("drag not estimated", {"vehicle.drag_time": 0.0}),
         ("the paper's tracking weight", {"costs.q_track": 15.0}),
         ("the paper's distances, 0.4 and 1.0 m", {"costs.distance_min": 0.4, "costs.distance_max": 1.0}),
         ("the paper's exponential penalty", {"costs.shape": "exponential", "costs.penalty": 1e6}),

@@ -8,11 +8,8 @@ from aero_viz.evaluation.bench.suites import Benchmark, Row
 from aero_viz.scenes import scene
 
 OPEN_ABOVE = {
-    "partition.continue_above": 0.0,
-    "partition.continue_below": 2.0,
+    "stages.active": "moving_obstacles, way_out, stop_proof, disturbance, memory",
     "costs.height_max": 99.0,
-    "partition.view_age": 0.0,
-    "partition.continue_before": 1e3,
 }
 
 
