@@ -14,11 +14,11 @@ def config_on_drone(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerCo
     with the default values turns with the sensor as it is mounted. A delay of 0 becomes the lag of the body rates,
     unless the planner models it; latencies are predicted by the node itself.
     """
-    part, default, vehicle = planner.partition, PlannerConfig().partition, planner.vehicle
+    part, default, vehicle = planner.unseen_space, PlannerConfig().unseen_space, planner.vehicle
     view = part.view_min, part.view_max
     if view == (default.view_min, default.view_max):
         view = mounted_view(view, roll=onboard.lidar.mount_roll, pitch=onboard.lidar.mount_pitch)
     return planner.replace({
-        "costs.use_ground": True, "partition.view_min": view[0], "partition.view_max": view[1],
+        "costs.use_ground": True, "unseen_space.view_min": view[0], "unseen_space.view_max": view[1],
         "vehicle.delay": vehicle.delay or vehicle.unmodelled_delay(rate_lag=onboard.response.rate_lag),
     })  # fmt: skip

@@ -246,16 +246,15 @@ class Replanner:
 
     def _predict_state(self, snapshot: ControlSnapshot, now: float) -> VehicleState:
         """Return the state at the time when the plan will be ready, if the drone obeys its present commands."""
-        vehicle = self._planner.config.vehicle
-        motion = snapshot.motion
+        config = self._planner.config
+        vehicle, motion = config.vehicle, snapshot.motion
         target = now + self._latency if self._compensate else motion.time
         while motion.time < target:
             command = self._command_at(motion.time, snapshot)
             motion = propagate(motion, command, min(motion.time + _STEP, target), vehicle, self._response)
         command = self._command_at(motion.time, snapshot)
         control = command if motion.control is None else motion.control
-        is_counted = vehicle.disturbance_time > 0.0 or vehicle.drag_time > 0.0
-        disturbance = snapshot.disturbance if is_counted else np.zeros(3)
+        disturbance = snapshot.disturbance if "disturbance" in config.stages.names else np.zeros(3)
         accel = np.zeros(3) if control is None else acceleration(motion.quaternion, float(control[0]), vehicle)
         return VehicleState(
             motion.position, motion.velocity, motion.quaternion, accel + disturbance, motion.time, disturbance

@@ -9,10 +9,10 @@ def test_the_field_of_view_turns_with_the_sensor_and_the_ground_is_avoided():
     inverted = OnboardConfig().replace({"lidar.mount_roll": 180.0})
     for planner in (PlannerConfig(), PlannerConfig.preset("paper")):
         flown = config_on_drone(planner, inverted)
-        assert (flown.partition.view_min, flown.partition.view_max) == (-52.0, 7.0)
+        assert (flown.unseen_space.view_min, flown.unseen_space.view_max) == (-52.0, 7.0)
         assert flown.costs.use_ground
-    chosen = PlannerConfig().replace({"partition.view_min": -30.0})
-    assert config_on_drone(chosen, inverted).partition == chosen.partition
+    chosen = PlannerConfig().replace({"unseen_space.view_min": -30.0})
+    assert config_on_drone(chosen, inverted).unseen_space == chosen.unseen_space
 
 
 def test_plans_take_effect_after_the_lag_of_the_body_rates():
