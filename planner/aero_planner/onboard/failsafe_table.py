@@ -105,6 +105,8 @@ class Inputs:
     """Number of goals received so far."""
     stopping: bool = False
     """True once the node has been asked to stop."""
+    supported: bool = True
+    """False if the vehicle is of a kind that must not be commanded."""
     guarded: bool = True
     """False if the failsafe process has ended or hangs; True as well if the node is to fly without one."""
     seen_disarmed: bool = True
@@ -122,6 +124,7 @@ class Inputs:
 class Cause(enum.Enum):
     """Reason for which a state is left."""
 
+    UNSUPPORTED = "the vehicle is anything but a PX4 that flies a multicopter"
     TAKEN_OVER = "the vehicle was disarmed or left OFFBOARD"
     ARMED_AT_START = "the vehicle was already armed when the node started"
     DISARMED = "the vehicle is disarmed"
@@ -165,7 +168,7 @@ FAULTS = (
 _LANDED = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
 """Causes for which the node falls silent at once: the drone is, or may be, on the ground."""
 
-NOT_READY = (*_LANDED, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
+NOT_READY = (Cause.UNSUPPORTED, *_LANDED, Cause.CLOUD_DRIFTS, Cause.UNGUARDED)
 """Causes that, like the faults, prevent READY, but that do not disturb a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
@@ -201,6 +204,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.PLAN_STALE: ("limits.plan_age",),
     Cause.PLAN_UNSAFE: (),
     Cause.STOPPING: (),
+    Cause.UNSUPPORTED: (),
     Cause.TAKEN_OVER: (),
     Cause.STATE_TIMEOUT: ("limits.state_age", "limits.blind_time"),
     Cause.LINK_TIMEOUT: ("limits.heartbeat_age", "limits.blind_time"),
@@ -235,6 +239,7 @@ def _estimate_is_poor(inputs: Inputs, limits: LimitSettings) -> bool:
 
 
 _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
+    Cause.UNSUPPORTED: lambda i, _: not i.supported,
     Cause.TAKEN_OVER: lambda i, _: not (i.armed and i.offboard),
     Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
     Cause.DISARMED: lambda i, _: not i.armed,
@@ -338,6 +343,8 @@ MAYBE_COMMANDING = (_S.READY, _S.WITHDRAWING)
 """States in which it may: the autopilot has possibly switched to OFFBOARD since its last heartbeat."""
 
 TRANSITIONS: tuple[Transition, ...] = (
+    Transition(COMMANDING, Cause.UNSUPPORTED, _S.HANDED_BACK),
+    Transition(MAYBE_COMMANDING, Cause.UNSUPPORTED, _S.WAITING),
     # The watchdog or the failsafe process has braked and handed the drone back. If the reported mode still says
     # OFFBOARD, that may be the autopilot's failsafe on its way.
     Transition(COMMANDING, Cause.LOOP_TIMEOUT, _S.HANDED_BACK),

@@ -120,14 +120,23 @@ class MavlinkLink(MavlinkSender):
         return self._receiver.sample
 
     @property
-    def is_px4(self) -> bool | None:
-        """True if the autopilot says that it is a PX4; None before its first heartbeat."""
-        return self._receiver.is_px4
+    def vehicle_kind(self) -> str | None:
+        """What the vehicle says it is, such as "PX4 QUADROTOR"; None before its first heartbeat."""
+        return self._receiver.kind
+
+    @property
+    def is_supported(self) -> bool:
+        """False once the vehicle has said that it is anything but a PX4 that flies a multicopter."""
+        return self._receiver.supported
 
     @property
     def peer(self) -> str | None:
         """Destination of commands, see `onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer
+
+    def send_message(self, message: Any) -> bool:
+        """See `MavlinkSender`; a vehicle that is not supported gets no message at all."""
+        return self.is_supported and super().send_message(message)
 
     def poll(self) -> None:
         """Read the messages that have arrived, and send a heartbeat when one is due.

@@ -5,12 +5,13 @@ counts as reset when the reset counter of ODOMETRY changes, when LOCAL_POSITION_
 flight does (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message. The
 covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
 
-HEARTBEAT tells whether the vehicle is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the air, GPS_RAW_INT
-whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
+HEARTBEAT tells what the vehicle is and whether it is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the
+air, GPS_RAW_INT whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,6 +27,8 @@ from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
+_log = logging.getLogger(__name__)
+
 COORDINATE_LIMIT = 1e6
 """Largest coordinate [m] and velocity [m/s]; larger values have no precision left in float32."""
 
@@ -37,6 +40,10 @@ _RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
 _INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
+_MULTICOPTERS = (
+    "TRICOPTER", "QUADROTOR", "HEXAROTOR", "OCTOROTOR", "DECAROTOR", "DODECAROTOR", "GENERIC_MULTIROTOR",
+)  # fmt: skip
+"""Vehicles, by their MAV_TYPE, that a thrust and body rates steer."""
 
 
 class StateReceiver:
@@ -47,7 +54,9 @@ class StateReceiver:
 
     Attributes:
         sample: The newest sample; None before the first state. Heartbeats update its flags between two states.
-        is_px4: True if the autopilot says that it is a PX4; None before its first heartbeat.
+        kind: What the vehicle says it is, such as "PX4 QUADROTOR"; None before its first heartbeat.
+        supported: False once it has said that it is anything but a PX4 that flies a multicopter. It stays so, with
+            that `kind`: a vehicle does not change, so another one with the same ids has been heard.
         dropped: Number of states that could not be used, by message and reason.
     """
 
@@ -59,7 +68,8 @@ class StateReceiver:
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.sample: VehicleSample | None = None
-        self.is_px4: bool | None = None
+        self.kind: str | None = None
+        self.supported = True
         self.dropped: dict[str, int] = {}
         self._time = clock
         self._dialect = load_dialect()
@@ -91,11 +101,21 @@ class StateReceiver:
     def _process_heartbeat(self, message: Any) -> bool:
         self._heartbeat_time = self._time()
         self._armed = bool(message.base_mode & self._dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.is_px4 = message.autopilot == self._dialect.MAV_AUTOPILOT_PX4
+        if self.supported:
+            self._identify(message)
         custom = message.base_mode & self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self._offboard = bool(custom) and message.custom_mode >> 16 & 0xFF == _PX4_OFFBOARD
         self._update_flags()
         return True
+
+    def _identify(self, message: Any) -> None:
+        autopilot = _enum_name(self._dialect, "MAV_AUTOPILOT", message.autopilot)
+        vehicle = _enum_name(self._dialect, "MAV_TYPE", message.type)
+        self.supported = autopilot == "PX4" and vehicle in _MULTICOPTERS
+        kind = f"{autopilot} {vehicle}"
+        if not self.supported:
+            _log.error("the vehicle is a %s, and only a PX4 that flies a multicopter is commanded", kind)
+        self.kind = kind
 
     def _process_landed_state(self, message: Any) -> bool:
         self._landed_state, self._landed_time = message.landed_state, self._time()
@@ -210,6 +230,7 @@ class StateReceiver:
             time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
             self._position_std, self._velocity_std, self._fix_time,
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
+            self.supported,
         )  # fmt: skip
 
     def _update_flags(self) -> None:
@@ -235,6 +256,12 @@ def _largest_std(covariance: Sequence[float]) -> float:
     """
     known = [variance for variance in (covariance[0], covariance[6], covariance[11]) if variance > 0.0]
     return math.sqrt(max(known)) if known else math.nan
+
+
+def _enum_name(dialect: Any, enum: str, value: int) -> str:
+    """Return the name of a value without the enum's prefix, such as "QUADROTOR"; the number itself if it has none."""
+    entry = dialect.enums[enum].get(value)
+    return str(value) if entry is None else entry.name.removeprefix(f"{enum}_")
 
 
 def _normalized(quaternion: ArrayLike) -> NDArray[np.float64] | None:

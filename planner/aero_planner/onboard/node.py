@@ -329,6 +329,7 @@ class Node:
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
             goal_number=self._goals.count,
             stopping=self._stopping,
+            supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
         )
         return inputs, motion

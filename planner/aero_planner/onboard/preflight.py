@@ -43,6 +43,7 @@ _LOG_RATE = 4e6  # [bytes/s], with a Mid-360 at its full rate
 _MIN_DISK = 2e9  # [bytes]
 _MIN_RECEIVE_BUFFER = 1_000_000  # [bytes]
 _FAILSAFE_TIMEOUT = 20.0  # [s]
+_NO_MEMORY = 1.0  # [s] of sweeps in a cloud without the stage `memory`, as in the paper
 
 
 def preflight(
@@ -161,9 +162,10 @@ def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
 
 
 def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
-    """Check that the cloud reaches back far enough for the speed limit, see `PlannerConfig.memory`."""
+    """Check that the cloud reaches back far enough for the speed limit, see the stage `memory` of the planner."""
     lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
-    needed = min(sweeps_within(planner.memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
+    memory = planner.memory.duration(planner.vehicle.speed_limit) if "memory" in planner.stages.names else _NO_MEMORY
+    needed = min(sweeps_within(memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
     known = lidar.sweeps + lidar.older_sweeps
     finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
     advice = (
@@ -235,16 +237,24 @@ def _check_failsafe_process(planner: PlannerConfig, onboard: OnboardConfig) -> C
 
 
 def _check_autopilot(link: MavlinkLink, onboard: OnboardConfig) -> Iterator[Check]:
-    if link.peer is None or link.is_px4 is None:
+    if link.peer is None or link.vehicle_kind is None:
+        return
+    where = link.peer.removeprefix("udpout:")
+    if not link.is_supported:
+        advice = (
+            "The node commands only a PX4 that flies a multicopter, and nothing else that has its ids: connect one, "
+            "name its address in mavlink.url and its id in mavlink.system, and check PX4's MAV_TYPE."
+        )
+        yield Check("autopilot", f"{link.vehicle_kind} at {where}", ok=False, advice=advice)
         return
     kind, _, rest = onboard.mavlink.url.partition(":")
     is_private = kind != "udpin" or is_loopback(rest.rpartition(":")[0])
     is_signed = onboard.mavlink.signing_key_file != "none"
-    finding = f"{'PX4' if link.is_px4 else 'not a PX4'} at {link.peer.removeprefix('udpout:')}"
     advice = (
         "The first one that is heard in the network is obeyed: check that this is its address, and use a serial port, "
         "udpout:ADDRESS:PORT, or mavlink.signing_key_file."
     )
+    finding = f"{link.vehicle_kind} at {where}"
     yield Check("autopilot", finding, ok=is_private or is_signed, required=False, advice=advice)
 
 
@@ -252,7 +262,7 @@ def _check_parameters(
     link: MavlinkLink, onboard: OnboardConfig, confirm: Callable[[Sequence[ParameterChange]], bool] | None
 ) -> Iterator[Check]:
     """Check PX4's parameters, after writing the changes that `confirm` agrees to."""
-    if not link.is_px4:
+    if link.vehicle_kind is None or not link.is_supported:
         return
     names = parameter_names(onboard)
     values = read_parameters(link, names)

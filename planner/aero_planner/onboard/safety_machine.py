@@ -106,6 +106,8 @@ class SafetyMachine:
         if cause_applies(Cause.LOOP_TIMEOUT, inputs, self._limits):
             # The watchdog or the failsafe process has sent that command, and the reported mode may be an old one.
             return False
+        if not inputs.supported:
+            return False
         if source in COMMANDING:
             return target is State.HANDED_BACK and inputs.armed and inputs.offboard
         is_flying = inputs.armed and inputs.in_air is not False

@@ -59,6 +59,8 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     """Check the invariants of every single step, whatever came before."""
     reaction = reaction_to(target, find_faults(inputs, LIMITS))
     ours, well = inputs.armed and inputs.offboard, is_well(inputs)
+    if not inputs.supported:
+        assert reaction is Reaction.SILENT
     if not ours:
         # Outside OFFBOARD nothing is sent except the stream that PX4 requires, without faults, and what follows it
         # until a heartbeat tells that the pilot has not switched.

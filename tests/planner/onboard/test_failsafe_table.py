@@ -53,6 +53,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "stale for the planner": {"plan_status": PlanStatus.STALE_CLOUD},
     "on the ground": {"in_air": False},
     "landed state unknown": {"in_air": None},
+    "another vehicle": {"supported": False},
     "no failsafe process": {"guarded": False},
     "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
     "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
