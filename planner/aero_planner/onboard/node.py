@@ -162,6 +162,11 @@ class Node:
         """Goal [m], shape [3], world frame."""
         return self._goals.goal
 
+    @property
+    def _floor(self) -> float:
+        """Height of the fence's lower end, world frame [m]."""
+        return self.ground.height + self.config.limits.fence_height_min
+
     def statistics(self) -> dict[str, Any]:
         """Return figures on deadlines, failures and losses, as plain values."""
         plans = 1e3 * np.array(self._replanner.durations)
@@ -214,7 +219,7 @@ class Node:
         corrected = motion
         if motion is not None:
             corrected = self._drift_correction.apply(motion, lost=is_lost(inputs, self.config.limits))
-        command = self._commands.choose(now, reaction, self.state, inputs, corrected)
+        command = self._commands.choose(now, reaction, self.state, inputs, corrected, floor=self._floor)
         if command is not None:
             self._send(command)
         elif motion is not None and self.safety.must_end_level:
@@ -348,7 +353,8 @@ class Node:
                 self._disturbance.acceleration,
             )  # fmt: skip
         upcoming = self._commands.upcoming(now) if follows_plan else None
-        heartbeat = Heartbeat(now, motion, maybe_obeyed, upcoming, self._commands.path, self._thrust.gain)
+        path, gain = self._commands.path, self._thrust.gain
+        heartbeat = Heartbeat(now, motion, maybe_obeyed, upcoming, path, gain, self._floor)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)
