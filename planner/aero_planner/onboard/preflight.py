@@ -98,14 +98,13 @@ def _check_configuration(planner: PlannerConfig, onboard: OnboardConfig) -> Chec
 
 def _check_versions(log: bool) -> Iterator[Check]:
     yield Check("python", f"{platform.python_version()} on {platform.machine()}", ok=sys.version_info >= (3, 10))
-    packages = [("aero-planner", True, ""), ("numpy", True, ""), ("warp-lang", True, "")]
-    packages += [("pymavlink", True, "[mavlink]"), ("mcap", log, "[log]")]
-    for name, required, extra in packages:
+    packages = [("aero-planner", True), ("numpy", True), ("warp-lang", True), ("pymavlink", True), ("mcap", log)]
+    for name, required in packages:
         try:
             yield Check(name, importlib.metadata.version(name))
         except importlib.metadata.PackageNotFoundError:
             if required:
-                yield Check(name, "not installed", ok=False, advice=f"pip install 'aero-planner{extra}'")
+                yield Check(name, "not installed", ok=False, advice=f"pip install {name}")
 
 
 def _check_device(planner_config: PlannerConfig, onboard: OnboardConfig, device: str) -> Check:
