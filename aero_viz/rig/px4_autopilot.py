@@ -305,7 +305,10 @@ class Px4Autopilot:
                 self._stream_start = self._now
             self._last_setpoint_time = self._now
             self.setpoints.append(setpoint)
-        elif name == "COMMAND_LONG" and message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
+        elif name == "COMMAND_LONG" and message.command not in (
+            d.MAV_CMD_SET_MESSAGE_INTERVAL,
+            d.MAV_CMD_REQUEST_MESSAGE,
+        ):
             self.violations.append(f"COMMAND_LONG {message.command}")
         elif name in PILOT_MESSAGES:
             self.violations.append(name)

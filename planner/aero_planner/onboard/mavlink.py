@@ -36,6 +36,7 @@ _REQUEST_PERIOD = 2.0  # [s] between two requests for messages
 _LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
 _RANGE_RATE = 10.0  # [Hz] of DISTANCE_SENSOR
 _FIX_RATE = 5.0  # [Hz] of GPS_RAW_INT
+_MODE_PERIOD = 0.1  # [s] between two requests for the heartbeat of an armed vehicle: PX4 sends only one per second
 _DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
 _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
@@ -111,7 +112,7 @@ class MavlinkLink(MavlinkSender):
         self._integers: set[str] = set()
         self._receiver = StateReceiver(clock)
         self.dropped = self._receiver.dropped  # goals as well as states
-        self._heartbeat_sent = self._requested = -np.inf
+        self._heartbeat_sent = self._requested = self._mode_requested = -np.inf
         self._arrived: dict[str, int] = {}  # number of usable messages since the last request, by name
 
     @property
@@ -147,6 +148,7 @@ class MavlinkLink(MavlinkSender):
             return  # another thread is polling
         try:
             self._receive()
+            self._request_mode()
             now = self._time()
             if now - self._heartbeat_sent >= 1.0:
                 self._heartbeat_sent = now
@@ -199,6 +201,16 @@ class MavlinkLink(MavlinkSender):
             self._arrived[name] = self._arrived.get(name, 0) + self._receiver.process(message)
         if name == "HEARTBEAT":
             self._request_missing_messages()
+        if self._receiver.is_mode_unknown and name == "COMMAND_ACK":
+            self._mode_requested = -np.inf
+
+    def _request_mode(self) -> None:
+        """Request the heartbeat of an armed vehicle, so that a pilot who takes over for a moment is noticed."""
+        now, d = self._time(), self._dialect
+        if self._state_rate > 0.0 and self._receiver.is_armed and now - self._mode_requested >= _MODE_PERIOD:
+            self._mode_requested = now
+            command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_REQUEST_MESSAGE, 0
+            self.send_message(d.MAVLink_command_long_message(self._system, *command, *[0.0] * 7))
 
     def _request_missing_messages(self) -> None:
         now = self._time()

@@ -46,6 +46,9 @@ _MULTICOPTERS = (
 """Vehicles, by their MAV_TYPE, that a thrust and body rates steer."""
 
 
+_MODE_TIMEOUT = 0.1  # [s] after an accepted change of the mode in which a heartbeat must name the new one
+
+
 class StateReceiver:
     """Combines the autopilot's messages to samples of the vehicle state.
 
@@ -62,7 +65,7 @@ class StateReceiver:
 
     MESSAGES = (
         "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
-        "GPS_RAW_INT",
+        "GPS_RAW_INT", "COMMAND_ACK",
     )  # fmt: skip
     """Names of the messages that `process` takes."""
 
@@ -81,7 +84,10 @@ class StateReceiver:
             "EXTENDED_SYS_STATE": self._process_landed_state,
             "DISTANCE_SENSOR": self._process_distance,
             "GPS_RAW_INT": self._process_fix,
+            "COMMAND_ACK": self._process_acknowledgement,
         }
+        self._mode_changed = np.inf  # when a change of the mode was accepted that no heartbeat has named yet
+        self._mode_commands = _mode_commands(self._dialect)
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = -np.inf
@@ -103,9 +109,25 @@ class StateReceiver:
         self._armed = bool(message.base_mode & self._dialect.MAV_MODE_FLAG_SAFETY_ARMED)
         if self.supported:
             self._identify(message)
+        self._mode_changed = np.inf
         custom = message.base_mode & self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self._offboard = bool(custom) and message.custom_mode >> 16 & 0xFF == _PX4_OFFBOARD
         self._update_flags()
+        return True
+
+    @property
+    def is_armed(self) -> bool:
+        """True if the newest heartbeat says that the vehicle is armed."""
+        return self._armed
+
+    @property
+    def is_mode_unknown(self) -> bool:
+        """True if somebody has changed the mode, and no heartbeat has told since what it is."""
+        return self._mode_changed < np.inf
+
+    def _process_acknowledgement(self, message: Any) -> bool:
+        if message.command in self._mode_commands and message.result == self._dialect.MAV_RESULT_ACCEPTED:
+            self._mode_changed = min(self._mode_changed, self._time())
         return True
 
     def _identify(self, message: Any) -> None:
@@ -226,8 +248,9 @@ class StateReceiver:
         in_air = None
         if self._time() - self._landed_time <= _LANDED_TIMEOUT and self._landed_state:
             in_air = self._landed_state == self._dialect.MAV_LANDED_STATE_IN_AIR
+        offboard = self._offboard and not self._time() - self._mode_changed >= _MODE_TIMEOUT
         return VehicleSample(
-            time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
+            time, state, self._armed, offboard, self._heartbeat_time, self._resets, in_air,
             self._position_std, self._velocity_std, self._fix_time,
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
             self.supported,
@@ -256,6 +279,15 @@ def _largest_std(covariance: Sequence[float]) -> float:
     """
     known = [variance for variance in (covariance[0], covariance[6], covariance[11]) if variance > 0.0]
     return math.sqrt(max(known)) if known else math.nan
+
+
+def _mode_commands(dialect: Any) -> frozenset[int]:
+    """Return the commands that change the mode of a PX4, or disarm it."""
+    names = (
+        "DO_SET_MODE", "COMPONENT_ARM_DISARM", "NAV_TAKEOFF", "NAV_LAND", "NAV_RETURN_TO_LAUNCH", "MISSION_START",
+        "DO_REPOSITION", "DO_ORBIT", "DO_FLIGHTTERMINATION",
+    )  # fmt: skip
+    return frozenset(getattr(dialect, f"MAV_CMD_{name}") for name in names)
 
 
 def _enum_name(dialect: Any, enum: str, value: int) -> str:

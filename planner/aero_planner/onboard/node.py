@@ -117,7 +117,7 @@ class Node:
         self._commands = CommandChoice(self._vehicle, config, self.schedule, self._stop_controller)
         self._thrust = ThrustEstimate(self._vehicle, config.thrust)
         self._disturbance = DisturbanceEstimate(config.response)
-        self._drift = DriftMonitor()
+        self._drift = DriftMonitor(config.limits.drift_time)
         self._drift_correction = DriftCorrection()
         self._watchdog = Watchdog(
             link,
@@ -329,6 +329,7 @@ class Node:
             drift_angle=self._drift.angle,
             drift_speed=self._drift.speed,
             inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),
+            below_floor=bool(position[2] < self._floor),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),

@@ -42,6 +42,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "velocity uncertain": {"velocity_std": math.inf},
     "uncertainty still too large": {"velocity_std": 0.9 * LIMITS.velocity_std, "estimate_was_poor": True},
     "fence": {"inside_fence": False},
+    "floor": {"inside_fence": False, "below_floor": True},
     "overrun": {"loop_age": LIMITS.deadline + 0.01},
     "loop gone": {"loop_age": LIMITS.deadline + LIMITS.blind_time + 0.01},
     "cloud": {"cloud_age": math.inf},
@@ -57,6 +58,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "no failsafe process": {"guarded": False},
     "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
     "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
+    "cloud still moves too much": {"drift_speed": 0.9 * LIMITS.drift_speed, "cloud_drifted": True},
 }
 
 
