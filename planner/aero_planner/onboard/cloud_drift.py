@@ -80,8 +80,9 @@ def measure_drift(old: NDArray[np.float32], new: NDArray[np.float32], position: 
     coverage = np.isin(_voxel_keys(moved), _voxel_keys(old_near)).mean()
     if coverage < _MIN_COVERAGE or _sector_disagreement(*_match(moved, planes)) > _MAX_DISAGREEMENT:
         return None
+    covariance = np.asarray(np.linalg.inv(total)[3:, 3:], dtype=np.float64)
     # The motion brings the newer points back.
-    return Drift(float(np.linalg.norm(motion[:3])), -_measured_part(motion[3:], np.linalg.inv(total)[3:, 3:]))
+    return Drift(float(np.linalg.norm(motion[:3])), -_measured_part(motion[3:], covariance))
 
 
 def _measured_part(shift: Array, covariance: Array) -> Array:
