@@ -104,6 +104,9 @@ class SimulatedAutopilot:
             "COM_RC_OVERRIDE": 3,
             "COM_RCL_EXCEPT": 0,
             "NAV_RCL_ACT": 1,
+            "NAV_DLL_ACT": 0,
+            "COM_LOW_BAT_ACT": 0,
+            "COM_FAIL_ACT_T": 5.0,
             "THR_MDL_FAC": float(compensation),
             "MPC_THR_HOVER": float(hover_thrust),
         }
@@ -297,6 +300,10 @@ class SimulatedAutopilot:
 
     def _handle_command(self, message: Any) -> None:
         d = self._dialect
+        if (message.command, message.param1) == (d.MAV_CMD_REQUEST_MESSAGE, d.MAVLINK_MSG_ID_HEARTBEAT):
+            self._send_heartbeat()
+            self._send(d.MAVLink_command_ack_message(message.command, d.MAV_RESULT_ACCEPTED))
+            return
         if message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
             self.violations.append(f"COMMAND_LONG {message.command}")
             return
@@ -317,15 +324,18 @@ class SimulatedAutopilot:
             value, kind = struct.unpack("<f", struct.pack("<i", value))[0], d.MAV_PARAM_TYPE_INT32
         self._send(d.MAVLink_param_value_message(name.encode(), value, kind, len(self.parameters), 0))
 
-    def _send_due_messages(self) -> None:
+    def _send_heartbeat(self) -> None:
         d = self._dialect
+        base = d.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (d.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
+        status = d.MAV_STATE_ACTIVE if self.armed else d.MAV_STATE_STANDBY
+        kind = d.MAV_TYPE_QUADROTOR
+        self._send(d.MAVLink_heartbeat_message(kind, d.MAV_AUTOPILOT_PX4, base, self.mode.value, status, 3))
+
+    def _send_due_messages(self) -> None:
         self.to_companion.flush(self._now)
         if self._now >= self._next_heartbeat:
             self._next_heartbeat = self._now + 1.0
-            base = d.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (d.MAV_MODE_FLAG_SAFETY_ARMED if self.armed else 0)
-            status = d.MAV_STATE_ACTIVE if self.armed else d.MAV_STATE_STANDBY
-            kind = d.MAV_TYPE_QUADROTOR
-            self._send(d.MAVLink_heartbeat_message(kind, d.MAV_AUTOPILOT_PX4, base, self.mode.value, status, 3))
+            self._send_heartbeat()
         for periodic in self._periodic_messages.values():
             for message in periodic.take_due(self._now):
                 self._send(message)

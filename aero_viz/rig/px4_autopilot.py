@@ -35,6 +35,7 @@ _STREAMS = {
 }  # fmt: skip
 """Messages and their rates that the rig requests [Hz]."""
 
+_TRUTH_TIME = 30.0  # [s] of simulated time for PX4 to report its place and the origin of its estimator
 _STREAM_TIME = 1.0  # [s] that setpoints must have been arriving before the pilot switches to OFFBOARD
 _STREAM_GAP = 0.5  # [s] without a setpoint that ends a stream
 _PILOT_PERIOD = 0.5  # [s] between two attempts of the pilot
@@ -201,18 +202,25 @@ class Px4Autopilot:
     # --- PX4's messages ---
 
     def _wait_for_truth(self) -> None:
-        end, next_request = time.monotonic() + 30.0, 0.0
+        clock = self._px4.clock
+        end, next_request = clock() + _TRUTH_TIME, -math.inf
         while self._tracker.home is None or self._estimator_origin is None:
-            if time.monotonic() > next_request:
-                next_request = time.monotonic() + 1.0
+            if clock() > next_request:
+                next_request = clock() + 1.0
                 self._send_heartbeat()
                 for name, rate in _STREAMS.items():
                     number = getattr(self._dialect, f"MAVLINK_MSG_ID_{name}")
                     self._command(self._dialect.MAV_CMD_SET_MESSAGE_INTERVAL, number, 1e6 / rate)
+                # PX4 sends the origin once, when its estimator starts, which has mostly been before this.
+                origin = self._dialect.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+                self._command(self._dialect.MAV_CMD_REQUEST_MESSAGE, origin)
             self._px4.check()
             self._receive_from_px4(timeout=0.1)
-            if time.monotonic() > end:
-                raise UserError("PX4 does not report a position within 30 s: is this PX4's own simulation (SIH)?")
+            if clock() > end:
+                missing = "a position" if self._tracker.home is None else "the origin of its estimator"
+                raise UserError(
+                    f"PX4 does not report {missing} within {_TRUTH_TIME:g} s: is this PX4's own simulation (SIH)?"
+                )
 
     def _fly_until(self, end: float) -> None:
         """Let PX4 run until its time is `end` [s]."""
@@ -297,7 +305,10 @@ class Px4Autopilot:
                 self._stream_start = self._now
             self._last_setpoint_time = self._now
             self.setpoints.append(setpoint)
-        elif name == "COMMAND_LONG" and message.command != d.MAV_CMD_SET_MESSAGE_INTERVAL:
+        elif name == "COMMAND_LONG" and message.command not in (
+            d.MAV_CMD_SET_MESSAGE_INTERVAL,
+            d.MAV_CMD_REQUEST_MESSAGE,
+        ):
             self.violations.append(f"COMMAND_LONG {message.command}")
         elif name in PILOT_MESSAGES:
             self.violations.append(name)

@@ -42,6 +42,10 @@ class Px4LogSummary:
     """Fraction of the time in which at least one motor was at a limit."""
     hover_thrust: float
     """PX4's last estimate of the hover thrust before OFFBOARD ended; NaN without one."""
+    speed_at_end: float
+    """True speed when OFFBOARD ended [m/s]; NaN if it did not end, or without the true state."""
+    tilt_at_end: float
+    """Angle between the vehicle's axis and the vertical then [rad]."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in types that JSON has: None in place of NaN."""
@@ -91,13 +95,11 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
     )
     error = estimate - truth
     moved = error[:, :3] - error[0, :3]
-    down = [
-        rotate(
-            _sampled(topics, name, ("q[0]", "q[1]", "q[2]", "q[3]"), times) * [1.0, -1.0, -1.0, -1.0], [0.0, 0.0, 1.0]
-        )
-        for name in ("vehicle_attitude", "vehicle_attitude_groundtruth")
-    ]
+    down = [_down(topics, name, times) for name in ("vehicle_attitude", "vehicle_attitude_groundtruth")]
     tilt = np.linalg.norm(np.cross(down[0], down[1]), axis=1)
+    at_end = np.array([end])
+    last_velocity = _sampled(topics, "vehicle_local_position_groundtruth", ("vx", "vy", "vz"), at_end)[0]
+    last_down = _down(topics, "vehicle_attitude_groundtruth", at_end)[0]
     wanted = _sampled(topics, "vehicle_rates_setpoint", ("roll", "pitch", "yaw"), times)
     rates = _sampled(topics, "vehicle_angular_velocity", ("xyz[0]", "xyz[1]", "xyz[2]"), times)
     motors = _sampled(topics, "actuator_motors", tuple(f"control[{number}]" for number in range(4)), times)
@@ -111,6 +113,8 @@ def summarize_log(path: Path) -> Px4LogSummary | None:
         sign_changes=tuple(count_sign_changes(wanted[:, k]) / (end - begin) for k in range(3)),  # type: ignore[arg-type]
         saturated=float(((motors <= 1.0 - _SATURATED) | (motors >= _SATURATED)).any(axis=1).mean()),
         hover_thrust=_hover_thrust(topics, end),
+        speed_at_end=float(np.linalg.norm(last_velocity)) if len(later) else math.nan,
+        tilt_at_end=math.acos(min(max(float(last_down[2]), -1.0), 1.0)) if len(later) else math.nan,
     )
 
 
@@ -122,6 +126,12 @@ def _sampled(
     if data is None:
         return np.full((len(times), len(fields)), math.nan)
     return np.stack([np.interp(times, 1e-6 * data["timestamp"], data[field]) for field in fields], axis=1)
+
+
+def _down(topics: dict[str, Any], name: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the direction of gravity in the body frame at `times` [s] by a topic with attitudes, shape [n, 3]."""
+    attitude = _sampled(topics, name, ("q[0]", "q[1]", "q[2]", "q[3]"), times)
+    return rotate(attitude * [1.0, -1.0, -1.0, -1.0], [0.0, 0.0, 1.0])
 
 
 def _hover_thrust(topics: dict[str, Any], end: float) -> float:

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import tempfile
+import time
 from pathlib import Path
 
 from aero_viz.errors import UserError
@@ -55,6 +56,7 @@ class Px4Process:
         system: MAVLink's system id of the vehicle.
         companion_port, companion_remote: UDP ports of PX4's connection to the onboard computer, and where it sends to.
         station_port: UDP port of its connection to a ground station.
+        speed: simulated time per time that passes, at most.
     """
 
     def __init__(self, folder: str | Path, *, speed: float = 1.0) -> None:
@@ -63,10 +65,12 @@ class Px4Process:
         self.system = instance + 1
         self.companion_port, self.companion_remote = _COMPANION_PORT + instance, _COMPANION_REMOTE + instance
         self.station_port = _STATION_PORT + instance
+        self.speed = speed
         self._paused = False
         self._temporary = tempfile.TemporaryDirectory(prefix="aero-px4-", ignore_cleanup_errors=True)
         self._folder = Path(self._temporary.name)
         self._output = self._folder / "px4.txt"
+        self._kept: str | None = None
         environment = {name: value for name, value in os.environ.items() if not name.startswith("PX4_")}
         environment |= {"PX4_SIM_MODEL": _MODEL, "HEADLESS": "1"}
         if speed != 1.0:
@@ -82,10 +86,26 @@ class Px4Process:
             self._temporary.cleanup()
             raise UserError(f"{binary} cannot be started ({error.strerror}): build PX4 on this computer.") from error
 
+    def clock(self) -> float:
+        """Return a time that passes as fast as the simulated time may [s]."""
+        return self.speed * time.monotonic()
+
     def check(self) -> None:
-        """Raise UserError if the process has ended; the message quotes the last line that it wrote."""
-        if (code := self._process.poll()) is not None:
-            raise UserError(f"PX4 has ended with exit code {code}: {(self.log() or ['it wrote nothing'])[-1]}")
+        """Raise UserError if the process has ended; the message quotes its last line and names a copy of all of them.
+
+        The copy stays: where PX4's start-up script fails, the reason is often far above the last line.
+        """
+        code = self._process.poll()
+        if code is None:
+            return
+        lines = self.log()
+        if not lines:
+            raise UserError(f"PX4 has ended with exit code {code}: it wrote nothing")
+        if self._kept is None:
+            with tempfile.NamedTemporaryFile("w", prefix="aero-px4-", suffix=".txt", delete=False) as file:
+                file.write("\n".join([*lines, ""]))
+            self._kept = file.name
+        raise UserError(f"PX4 has ended with exit code {code}: {lines[-1]} (all that it wrote: {self._kept})")
 
     def log(self) -> list[str]:
         """Return the lines that PX4 has written so far."""

@@ -20,7 +20,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.errors import UserError
 from aero_viz.rig.px4_process import HOST, Px4Process
 
-_START_TIME = 90.0  # [s] for PX4 to start and to find its position
+_START_TIME = 90.0  # [s] of simulated time for PX4 to start and to find its position
 _POLL_PERIOD = 0.02  # [s]
 
 
@@ -37,19 +37,24 @@ def set_parameters(
     Raises:
         UserError: PX4 has ended or does not start, or a parameter does not exist or was not accepted.
     """
-    link = MavlinkLink(
-        f"udpin:{HOST}:{px4.companion_remote}", thrust_model(onboard, vehicle), system=px4.system
-    )  # fmt: skip
+    # Every time-out counts in simulated time, in which PX4 sends its heartbeats.
+    address, thrust, clock = f"udpin:{HOST}:{px4.companion_remote}", thrust_model(onboard, vehicle), px4.clock
+    link = MavlinkLink(address, thrust, system=px4.system, clock=clock)
     with contextlib.closing(link):
         _wait(px4, link, lambda: link.state is not None, "does not report a position")
         # A PX4 that is still starting answers late.
-        _wait(px4, link, lambda: bool(read_parameters(link, ["COM_OF_LOSS_T"])), "does not report its parameters")
-        present = read_parameters(link, {*parameter_names(onboard), *values})
+        _wait(
+            px4,
+            link,
+            lambda: bool(read_parameters(link, ["COM_OF_LOSS_T"], clock=clock)),
+            "does not report its parameters",
+        )
+        present = read_parameters(link, {*parameter_names(onboard), *values}, clock=clock)
         if unknown := sorted(set(values) - set(present)):
             raise UserError(f"PX4 has no parameter {', '.join(unknown)}.")
         changes = [change for change in find_changes(present, onboard) if change.name not in values]
         changes += [ParameterChange(name, value, present[name]) for name, value in values.items()]
-        result = write_parameters(link, changes)
+        result = write_parameters(link, changes, clock=clock)
         if result.unconfirmed:
             reason = f": {result.refusal}" if result.refusal else ""
             raise UserError(f"PX4 did not accept {', '.join(result.unconfirmed)}{reason}.")
@@ -57,10 +62,10 @@ def set_parameters(
 
 
 def _wait(px4: Px4Process, link: MavlinkLink, condition: Callable[[], bool], what: str) -> None:
-    end = time.monotonic() + _START_TIME
+    end = px4.clock() + _START_TIME
     while not condition():
         px4.check()
-        if time.monotonic() > end:
+        if px4.clock() > end:
             raise UserError(f"PX4 {what} within {_START_TIME:g} s.")
         time.sleep(_POLL_PERIOD)
         link.poll()

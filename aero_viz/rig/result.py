@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -107,6 +108,17 @@ class RigResult:
     """None if the autopilot did not leave OFFBOARD."""
     px4_log: Px4LogSummary | None = None
     """Summary of PX4's log; None with the rig's own autopilot."""
+
+    def with_log(self, log: Px4LogSummary | None) -> RigResult:
+        """Return the result with the summary of PX4's log, and with its figures of the hand-back.
+
+        The rig itself learns of it from a heartbeat, up to a second late, when PX4 has already slowed the vehicle down.
+        """
+        handover = self.handover
+        ends = log is not None and math.isfinite(log.speed_at_end) and math.isfinite(log.tilt_at_end)
+        if log is not None and handover is not None and ends:
+            handover = Handover(log.offboard_time, log.speed_at_end, log.tilt_at_end)
+        return dataclasses.replace(self, px4_log=log, handover=handover)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in types that JSON has, without trajectory and commands."""

@@ -8,7 +8,6 @@ which sends the goal.
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import socket
 from collections.abc import Callable, Mapping, Sequence
@@ -168,7 +167,7 @@ def fly_rig(
             return result
         close_autopilot.close()  # ends PX4's log
         log = process.stop()
-        return dataclasses.replace(result, px4_log=None if log is None else summarize_log(log))
+        return result.with_log(None if log is None else summarize_log(log))
 
 
 def _simulated_autopilot(

@@ -1,11 +1,10 @@
 """The command `aero-planner rig`: its arguments and its output."""
 
-import numpy as np
 import pytest
 
-from aero_viz.rig import Event, Intervals, RigResult, Trajectory
 from aero_viz.rig.command import format_result, main
 from aero_viz.rig.faults import FAULT_KINDS
+from tests.rig.results import RESULT
 
 
 def test_help_lists_every_kind_of_fault(capsys):
@@ -42,15 +41,7 @@ def test_a_mistake_is_reported_in_one_sentence(arguments, error):
 
 
 def test_the_result_is_printed_in_a_few_lines():
-    empty = np.zeros((0, 3))
-    result = RigResult(
-        arrived=True, reason="arrived", arrivals=1, flight_time_s=9.3, mean_speed=4.6, max_speed=5.2,
-        min_clearance=0.71, scene="forest", seed=3, faults=[], events=[Event(9.3, "arrived")], setpoints=465,
-        refused=0, violations=[], intervals=Intervals(464, 0.02, 0.0004, 0.0212, 0.031, 1),
-        sign_changes=(1.5, 2.04, 0.0), overruns=0, log=[],
-        trajectory=Trajectory(empty[:, 0], empty, empty, empty[:, 0] > 0.0), commands=[],
-    )  # fmt: skip
-    assert format_result(result).splitlines() == [
+    assert format_result(RESULT).splitlines() == [
         "forest 3: arrived after 9.3 s, 4.6 m/s, at most 5.2 m/s, 0.71 m from the nearest surface",
         "setpoints: 464, every 20.0 ms, jitter 0.40 ms, 99 % within 21.2 ms, longest 31 ms, 1 missed",
         "setpoints: 1.5, 2.0, 0.0 sign changes per second in roll, pitch, yaw",

@@ -1,8 +1,10 @@
 """The rig's parts for PX4 that can be tested without it: its folder, its process, its true pose and its log."""
 
+import dataclasses
 import json
 import math
 import os
+import re
 import stat
 import struct
 from pathlib import Path
@@ -15,6 +17,8 @@ from aero_viz.errors import UserError
 from aero_viz.rig.px4_log import summarize_log
 from aero_viz.rig.px4_process import Px4Process, find_px4
 from aero_viz.rig.px4_truth import TruthTracker
+from aero_viz.rig.result import Handover
+from tests.rig.results import RESULT
 
 LAG = 0.08  # [s]
 
@@ -51,11 +55,19 @@ def test_a_program_that_ends_is_reported_with_its_last_line(tmp_path):
     try:
         while len(process.log()) < 2:
             pass
-        with pytest.raises(UserError, match="PX4 has ended with exit code 3: no can do"):
-            while True:
+        errors = []
+        while len(errors) < 2:
+            try:
                 process.check()
+            except UserError as error:
+                errors.append(str(error))
     finally:
         process.close()
+    assert errors[0] == errors[1]
+    match = re.fullmatch(r"PX4 has ended with exit code 3: no can do \(all that it wrote: (.*)\)", errors[0])
+    # The lines above the last one often have the reason. They outlive the process, in one copy.
+    assert match is not None and Path(match[1]).read_text() == "starting\nno can do\n"
+    os.remove(match[1])
 
 
 def test_the_process_is_started_in_its_own_folder_and_leaves_nothing(tmp_path, monkeypatch):
@@ -168,6 +180,24 @@ def test_a_log_is_summarized(tmp_path, flight):
     assert log.sign_changes == pytest.approx((2.0, 0.0, 0.0), abs=0.2)
     assert log.saturated == pytest.approx(0.1, abs=0.01)
     assert log.hover_thrust == pytest.approx(0.47)
+
+
+def test_the_hand_back_is_that_of_the_log(tmp_path, flight):
+    """The heartbeats tell of it 0.9 s late, when PX4 has already braked."""
+    fields, values = flight["vehicle_local_position_groundtruth"]
+    values[:, 4] = np.clip(3.0 - 2.5 * (values[:, 0] - 8.0), 0.0, 3.0)
+    _, tilts = flight["vehicle_attitude_groundtruth"]
+    half = 0.1 * np.clip(1.0 - (tilts[:, 0] - 8.0), 0.0, 1.0)
+    tilts[:, 1], tilts[:, 2] = np.cos(half), np.sin(half)
+    log = summarize_log(write_log(tmp_path / "1.ulg", flight))
+    seen = dataclasses.replace(RESULT, handover=Handover(6.9, 0.75, 0.02)).with_log(log)
+    assert seen.px4_log is log and seen.handover is not None
+    assert seen.handover.time == pytest.approx(6.0, abs=0.02)
+    assert seen.handover.speed == pytest.approx(3.0, abs=0.03)
+    assert seen.handover.tilt == pytest.approx(0.2, abs=0.01)
+    # In a flight that the node ends, OFFBOARD lasts until the log's end.
+    assert dataclasses.replace(RESULT).with_log(log).handover is None
+    assert fields and dataclasses.replace(RESULT, handover=seen.handover).with_log(None).handover is seen.handover
 
 
 def test_the_hover_thrust_is_that_of_the_flight(tmp_path, flight):

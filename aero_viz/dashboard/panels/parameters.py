@@ -83,9 +83,7 @@ class ParameterPanel(Panel):
                 for info in PlannerConfig.parameters()
                 if not info.live
             ]
-            hint = (
-                "Rebuild the planner with these values. Kernels that are new to this machine take a minute."
-            )
+            hint = "Rebuild the planner with these values. Kernels that are new to this machine take a minute."
             apply = gui.add_button("Apply", hint=hint, icon=viser.Icon.CHECK)
         self._groups.append(_Group(folder, rows))
 

@@ -61,9 +61,16 @@ class CommandChoice:
         return self._path or self._schedule.path(self._reset_time)
 
     def choose(
-        self, now: float, reaction: Reaction, state: State, inputs: Inputs, motion: MotionState | None
+        self,
+        now: float,
+        reaction: Reaction,
+        state: State,
+        inputs: Inputs,
+        motion: MotionState | None,
+        *,
+        floor: float = -math.inf,
     ) -> Command | None:
-        """Return the command to send at `now` [s]; None to send nothing."""
+        """Return the command to send at `now` [s]; None to send nothing. See `StopController` for the floor [m]."""
         limits = self._config.limits
         if reaction is not Reaction.HOLD:
             self._hold = None
@@ -78,7 +85,7 @@ class CommandChoice:
         if reaction is Reaction.HOLD and self._hold is None and motion.speed <= limits.speed_stopped:
             self._hold = motion.position
         remaining = blind_time_left(inputs, limits)
-        stop = self._stop.command(motion, hold=self._hold, path=self._path, remaining=remaining)
+        stop = self._stop.command(motion, hold=self._hold, path=self._path, floor=floor, remaining=remaining)
         # The attitude is only for a blind drone: it makes PX4 change controllers.
         return Command(stop.control, stop.attitude if math.isfinite(remaining) else None)
 

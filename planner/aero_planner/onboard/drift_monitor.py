@@ -1,40 +1,49 @@
-"""Drift of the estimate during the last seconds, as measured by the LiDAR."""
+"""Drift of the estimate during the last moments, as measured by the LiDAR."""
 
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 
 from aero_planner.onboard.cloud_drift import Drift
 
-_WINDOW = 3.0  # [s]
+_MEMORY = 3.0
+"""Time after which a measurement no longer counts, even if there is no newer one [s]."""
 _MIN_MEASUREMENTS = 3
 
 
 class DriftMonitor:
-    """Root mean squares of the drift over the last three seconds; NaN while too little was measured.
+    """Medians of the newest measurements of the drift; NaN while there are too few.
+
+    A single measurement may be wrong, where obstacles move that are mistaken for a world that does.
+
+    Args:
+        window: Time before the newest measurement in which measurements count [s].
 
     Attributes:
         angle: Error of the attitude [rad].
         speed: Error of the velocity [m/s].
     """
 
-    def __init__(self) -> None:
+    def __init__(self, window: float) -> None:
         self.angle = self.speed = math.nan
+        self._window = window
         self._measured: deque[tuple[float, float, float]] = deque()
 
     def add(self, time: float, drift: Drift, interval: float) -> None:
         """Add a drift that was measured at `time` [s] over an interval [s]."""
         self._measured.append((time, drift.angle, drift.shift / interval))
+        while self._measured[0][0] < time - self._window:
+            self._measured.popleft()
 
     def update(self, now: float) -> None:
         """Forget measurements from too long before `now` [s]."""
-        while self._measured and self._measured[0][0] < now - _WINDOW:
+        while self._measured and self._measured[0][0] < now - _MEMORY:
             self._measured.popleft()
-        count = len(self._measured)
         self.angle, self.speed = (
-            math.sqrt(sum(values[k] ** 2 for values in self._measured) / count)
-            if count >= _MIN_MEASUREMENTS
+            statistics.median(values[k] for values in self._measured)
+            if len(self._measured) >= _MIN_MEASUREMENTS
             else math.nan
             for k in (1, 2)
         )

@@ -95,6 +95,7 @@ class Inputs:
     drift_speed: float
     """The same for the velocity [m/s]."""
     inside_fence: bool
+    """False below the floor, too."""
     loop_age: float
     """Time since the previous tick began; 0 at the first tick."""
     speed: float
@@ -105,25 +106,32 @@ class Inputs:
     """Number of goals received so far."""
     stopping: bool = False
     """True once the node has been asked to stop."""
+    below_floor: bool = False
+    """True if the drone is lower than the fence allows."""
+    supported: bool = True
+    """False if the vehicle is of a kind that must not be commanded."""
     guarded: bool = True
     """False if the failsafe process has ended or hangs; True as well if the node is to fly without one."""
     clock_set: bool = True
     """False if signed messages are required and the computer's date is not set."""
     seen_disarmed: bool = True
-    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next four fields."""
+    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next five fields."""
     state_time: float = 0.0
     """Time since the present state was entered [s]."""
     fault_time: float = 0.0
-    """Time since the node was last ready, or the drone last followed a plan or waited at its goal [s]."""
+    """Time with faults since the take-over [s]; a fifth of the time without is subtracted."""
     goal_new: bool = False
     """True if the goal differs from the one that was reached last."""
     estimate_was_poor: bool = False
     """True if ESTIMATE_POOR applied at the previous tick."""
+    cloud_drifted: bool = False
+    """True if CLOUD_DRIFTS applied at the previous tick."""
 
 
 class Cause(enum.Enum):
     """Reason for which a state is left."""
 
+    UNSUPPORTED = "the vehicle is anything but a PX4 that flies a multicopter"
     TAKEN_OVER = "the vehicle was disarmed or left OFFBOARD"
     ARMED_AT_START = "the vehicle was already armed when the node started"
     DISARMED = "the vehicle is disarmed"
@@ -134,6 +142,8 @@ class Cause(enum.Enum):
     STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
     FIX_LOST = "the autopilot's GNSS receiver has lost its fix"
     ESTIMATE_POOR = "the autopilot's position or velocity is too uncertain"
+    CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, velocity or time stamps are wrong"
+    BELOW_FLOOR = "below the floor, limits.fence_height_min above the ground"
     OUTSIDE_FENCE = "outside the geofence"
     LOOP_STALLED = "the control loop stalled"
     CLOUD_STALE = "no points from the LiDAR: none arrive, or nothing is in range"
@@ -144,7 +154,6 @@ class Cause(enum.Enum):
     IN_AIR_UNKNOWN = "the autopilot does not report whether the vehicle is in the air"
     UNGUARDED = "the failsafe process, which brakes if this one dies, has ended or hangs: start the node again"
     CLOCK_UNSET = "the computer's date is not set, so that old signed messages can't be told from new ones: set it"
-    CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, position or time stamps are wrong"
     STOPPING = "the node was asked to stop"
     STATE_TIMEOUT = "no vehicle state for too long to continue by dead reckoning"
     LINK_TIMEOUT = "no heartbeat for too long to continue"
@@ -153,25 +162,25 @@ class Cause(enum.Enum):
     HOLD_TIMEOUT = "no safe way to continue was found in time"
     AT_REST = "at rest"
     GOAL_REACHED = "the goal is reached"
-    GOAL_MOVED = "the goal is elsewhere and there is no fault"
-    ALL_CLEAR = "there is no fault"
-    STANDBY = "there is no fault and the node is not in control"
+    GOAL_MOVED = "the goal is elsewhere and nothing prevents flying"
+    ALL_CLEAR = "nothing prevents flying"
+    STANDBY = "nothing prevents flying and the node is not in control"
 
 
 FAULTS = (
     Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.FIX_LOST, Cause.ESTIMATE_POOR,
-    Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE,
-    Cause.PLAN_UNSAFE,
+    Cause.CLOUD_DRIFTS, Cause.BELOW_FLOOR, Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED, Cause.CLOUD_STALE,
+    Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
 _LANDED = (Cause.ON_GROUND, Cause.IN_AIR_UNKNOWN)
 """Causes for which the node falls silent at once: the drone is, or may be, on the ground."""
 
-_UNFIT = (Cause.CLOUD_DRIFTS, Cause.UNGUARDED, Cause.CLOCK_UNSET)
+_UNFIT = (Cause.UNGUARDED, Cause.CLOCK_UNSET)
 
-NOT_READY = (*_LANDED, *_UNFIT)
-"""Causes that, like the faults, prevent READY, but that do not disturb a flight."""
+NOT_READY = (Cause.UNSUPPORTED, *_LANDED, *_UNFIT)
+"""Causes that, like the faults, prevent READY and the way back to FLYING, but that do not brake a flight."""
 
 REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
     # The controls of an unsafe plan are the planner's own braking candidate, chosen with regard to obstacles.
@@ -184,7 +193,7 @@ REACTION_OVERRIDES: dict[tuple[State, tuple[Cause, ...]], Reaction] = {
 BLINDING = (Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE)
 """Faults that leave only dead reckoning."""
 
-LOST = (Cause.FIX_LOST, Cause.ESTIMATE_POOR)
+LOST = (Cause.FIX_LOST, Cause.ESTIMATE_POOR, Cause.CLOUD_DRIFTS)
 """Faults with which position and velocity drift."""
 
 UNLOCATED = (*BLINDING, *LOST)
@@ -199,6 +208,8 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.STATE_NOT_FINITE: ("limits.state_age",),  # at the latest: a link that drops such states lets the state age
     Cause.FIX_LOST: ("limits.fix_age",),
     Cause.ESTIMATE_POOR: (),
+    Cause.CLOUD_DRIFTS: ("limits.drift_time",),
+    Cause.BELOW_FLOOR: (),
     Cause.OUTSIDE_FENCE: (),
     Cause.LOOP_STALLED: ("limits.deadline",),
     Cause.CLOUD_STALE: ("limits.cloud_age",),
@@ -206,6 +217,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.PLAN_STALE: ("limits.plan_age",),
     Cause.PLAN_UNSAFE: (),
     Cause.STOPPING: (),
+    Cause.UNSUPPORTED: (),
     Cause.TAKEN_OVER: (),
     Cause.STATE_TIMEOUT: ("limits.state_age", "limits.blind_time"),
     Cause.LINK_TIMEOUT: ("limits.heartbeat_age", "limits.blind_time"),
@@ -217,12 +229,13 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
 
 THRESHOLDS: dict[Cause, tuple[str, ...]] = {
     Cause.ESTIMATE_POOR: ("limits.position_std", "limits.velocity_std"),
+    Cause.BELOW_FLOOR: ("limits.fence_height_min",),
     Cause.OUTSIDE_FENCE: ("limits.fence_*",),
 }
 """Settings that define an event itself."""
 
 _RELEASE = 0.7
-"""Fraction of a limit below which a poor estimate counts as good again."""
+"""Fraction of a limit below which a poor or drifting estimate counts as good again."""
 
 
 def _exceeds(age: float, limit: float) -> bool:
@@ -239,7 +252,15 @@ def _estimate_is_poor(inputs: Inputs, limits: LimitSettings) -> bool:
     return inputs.position_std > scale * limits.position_std or inputs.velocity_std > scale * limits.velocity_std
 
 
+def _cloud_drifts(inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if the drift exceeds a limit; one that is unknown (NaN) does not. Releases as above."""
+    scale = _RELEASE if inputs.cloud_drifted else 1.0
+    angle = math.radians(limits.drift_angle)
+    return inputs.drift_angle > scale * angle or inputs.drift_speed > scale * limits.drift_speed
+
+
 _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
+    Cause.UNSUPPORTED: lambda i, _: not i.supported,
     Cause.TAKEN_OVER: lambda i, _: not (i.armed and i.offboard),
     Cause.ARMED_AT_START: lambda i, _: i.armed and not i.seen_disarmed,
     Cause.DISARMED: lambda i, _: not i.armed,
@@ -251,7 +272,9 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.STATE_NOT_FINITE: lambda i, _: not i.state_finite,
     Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,  # no fault without a fix before, where the age is NaN
     Cause.ESTIMATE_POOR: _estimate_is_poor,
-    Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence,
+    Cause.CLOUD_DRIFTS: _cloud_drifts,
+    Cause.BELOW_FLOOR: lambda i, _: i.below_floor,
+    Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence and not i.below_floor,
     Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),
     Cause.CLOUD_STALE: lambda i, lim: _exceeds(i.cloud_age, lim.cloud_age),
     Cause.PLAN_NOT_FINITE: lambda i, _: not i.plan_finite,
@@ -261,7 +284,6 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.IN_AIR_UNKNOWN: lambda i, _: i.in_air is None,
     Cause.UNGUARDED: lambda i, _: not i.guarded,
     Cause.CLOCK_UNSET: lambda i, _: not i.clock_set,
-    Cause.CLOUD_DRIFTS: lambda i, lim: i.drift_angle > math.radians(lim.drift_angle) or i.drift_speed > lim.drift_speed,
     Cause.STOPPING: lambda i, _: i.stopping,
     Cause.STATE_TIMEOUT: lambda i, lim: _exceeds(i.state_age, lim.state_age + lim.blind_time),
     Cause.LINK_TIMEOUT: lambda i, lim: _exceeds(i.heartbeat_age, lim.heartbeat_age + lim.blind_time),
@@ -272,12 +294,11 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.GOAL_REACHED: lambda i, lim: i.goal_distance <= lim.arrival_radius,
     # The drone drifts a little while it holds, so a goal that was reached is left at a larger distance.
     Cause.GOAL_MOVED: lambda i, lim: (
-        _is_clear(i, lim) and i.goal_distance > (1.0 if i.goal_new else 2.0) * lim.arrival_radius
+        _may_fly(i, lim) and i.goal_distance > (1.0 if i.goal_new else 2.0) * lim.arrival_radius
     ),
-    Cause.ALL_CLEAR: lambda i, lim: _is_clear(i, lim),
-    Cause.STANDBY: lambda i, lim: (
-        _is_clear(i, lim) and not _has_any(NOT_READY, i, lim) and not (i.armed and i.offboard)
-    ),
+    # A drone that alternates between flying and braking for too long is brought to rest, and then handed back.
+    Cause.ALL_CLEAR: lambda i, lim: _may_fly(i, lim) and not cause_applies(Cause.HOLD_TIMEOUT, i, lim),
+    Cause.STANDBY: lambda i, lim: _may_fly(i, lim) and not (i.armed and i.offboard),
 }
 
 
@@ -296,8 +317,8 @@ def reaction_to(state: State, faults: tuple[Cause, ...]) -> Reaction:
     return REACTION_OVERRIDES.get((state, faults), REACTIONS[state])
 
 
-def _is_clear(inputs: Inputs, limits: LimitSettings) -> bool:
-    return not inputs.stopping and not find_faults(inputs, limits)
+def _may_fly(inputs: Inputs, limits: LimitSettings) -> bool:
+    return not inputs.stopping and not _has_any((*FAULTS, *NOT_READY), inputs, limits)
 
 
 def _has_any(causes: tuple[Cause, ...], inputs: Inputs, limits: LimitSettings) -> bool:
@@ -344,6 +365,8 @@ MAYBE_COMMANDING = (_S.READY, _S.WITHDRAWING)
 """States in which it may: the autopilot has possibly switched to OFFBOARD since its last heartbeat."""
 
 TRANSITIONS: tuple[Transition, ...] = (
+    Transition(COMMANDING, Cause.UNSUPPORTED, _S.HANDED_BACK),
+    Transition(MAYBE_COMMANDING, Cause.UNSUPPORTED, _S.WAITING),
     # The watchdog or the failsafe process has braked and handed the drone back. If the reported mode still says
     # OFFBOARD, that may be the autopilot's failsafe on its way.
     Transition(COMMANDING, Cause.LOOP_TIMEOUT, _S.HANDED_BACK),
@@ -356,7 +379,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     Transition(COMMANDING, Cause.STATE_TIMEOUT, _S.HANDED_BACK),
     Transition(COMMANDING, Cause.LINK_TIMEOUT, _S.HANDED_BACK),
     Transition((_S.BRAKING,), Cause.BRAKE_TIMEOUT, _S.HANDED_BACK),
-    Transition((_S.BRAKING, _S.HOLDING), Cause.HOLD_TIMEOUT, _S.HANDED_BACK),
+    Transition((_S.HOLDING,), Cause.HOLD_TIMEOUT, _S.HANDED_BACK),
     Transition((_S.ARRIVED, _S.HOLDING), Cause.STOPPING, _S.HANDED_BACK),
     # The next heartbeat tells whether the drone obeys.
     *(Transition(MAYBE_COMMANDING, cause, _S.WAITING) for cause in _LANDED),

@@ -77,7 +77,7 @@ class FlightLog(Observer):
             from mcap.writer import CompressionType, Writer
         except ImportError as error:
             raise ImportError(
-                "the flight log needs the package mcap, which is not installed; run: pip install 'aero-planner[log]'."
+                "the flight log needs the package mcap, which is not installed; run: pip install mcap."
             ) from error
         self.failed = False
         self._refused = 0

@@ -52,12 +52,12 @@ class HeartbeatMemory:
         ValueError: The memory was created by another version of this program.
     """
 
-    _LAYOUT = struct.pack("<I", 5)  # to be increased with every change of what follows
+    _LAYOUT = struct.pack("<I", 6)  # to be increased with every change of what follows
     _HEAD = struct.Struct("<QQ256s")  # number, time stamp of signatures, peer
     _UPCOMING = 20  # after time, motion with its control, and command
     _PATH = _UPCOMING + 4 * UPCOMING_MAX
     _GAIN = _PATH + 1 + 6 * PATH_POINTS  # after the upcoming commands and the path, NaN where there is none
-    _NUMBERS = _GAIN + 1
+    _NUMBERS = _GAIN + 2  # and the floor
     _SIZE = _HEAD.size + 8 * _NUMBERS + 4  # with the checksum
     _STATUS = struct.Struct("<QII")  # number of the heartbeat since which the reader brakes, steps, interventions
 
@@ -94,7 +94,7 @@ class HeartbeatMemory:
             points = np.hstack([heartbeat.path.positions, heartbeat.path.velocities]).ravel()
             numbers[self._PATH] = heartbeat.path.period
             numbers[self._PATH + 1 : self._PATH + 1 + len(points)] = points
-        numbers[self._GAIN] = heartbeat.thrust_gain
+        numbers[self._GAIN :] = heartbeat.thrust_gain, heartbeat.floor
         data = self._HEAD.pack(self._number, signing_time, (peer or "").encode()) + numbers.tobytes()
         start = self._number % 2 * self._SIZE
         self._memory[start : start + self._SIZE] = data + struct.pack("<I", zlib.crc32(data))
@@ -120,7 +120,7 @@ class HeartbeatMemory:
             command if np.isfinite(command).all() else None,
             upcoming if len(upcoming) else None,
             path,
-            float(numbers[self._GAIN]),
+            *numbers[self._GAIN :].tolist(),
         )
         return SharedHeartbeat(number, heartbeat, peer.rstrip(b"\0").decode() or None, signing_time)
 

@@ -201,7 +201,7 @@ def _check_points(
 
 
 def _check_drift(sweeps: SweepBuffer, sample: VehicleSample, onboard: OnboardConfig) -> Check:
-    older, newer, interval = sweeps.halves()
+    older, newer, interval = sweeps.newest_pair()
     drift = measure_drift(older, newer, np.asarray(sample.state.position, dtype=np.float64))
     name, limits = "cloud against itself", onboard.limits
     if drift is None:

@@ -93,6 +93,8 @@ class VehicleSample:
     ground_height: float = math.nan
     """Height of the ground below the vehicle as its distance sensor measures it, world frame [m]; NaN without a recent
     measurement."""
+    supported: bool = True
+    """False if the vehicle says that it is of a kind that thrust and body rates from here do not steer as assumed."""
 
 
 class CommandSink(Protocol):

@@ -37,6 +37,7 @@ _REQUEST_PERIOD = 2.0  # [s] between two requests for messages
 _LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
 _RANGE_RATE = 10.0  # [Hz] of DISTANCE_SENSOR
 _FIX_RATE = 5.0  # [Hz] of GPS_RAW_INT
+_MODE_PERIOD = 0.1  # [s] between two requests for the heartbeat of an armed vehicle: PX4 sends only one per second
 _DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
 _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
@@ -116,7 +117,7 @@ class MavlinkLink(MavlinkSender):
         self._integers: set[str] = set()
         self._receiver = StateReceiver(clock)
         self.dropped = self._receiver.dropped  # goals as well as states
-        self._heartbeat_sent = self._requested = -np.inf
+        self._heartbeat_sent = self._requested = self._mode_requested = -np.inf
         self._arrived: dict[str, int] = {}  # number of usable messages since the last request, by name
 
     @property
@@ -125,14 +126,23 @@ class MavlinkLink(MavlinkSender):
         return self._receiver.sample
 
     @property
-    def is_px4(self) -> bool | None:
-        """True if the autopilot says that it is a PX4; None before its first heartbeat."""
-        return self._receiver.is_px4
+    def vehicle_kind(self) -> str | None:
+        """What the vehicle says it is, such as "PX4 QUADROTOR"; None before its first heartbeat."""
+        return self._receiver.kind
+
+    @property
+    def is_supported(self) -> bool:
+        """False once the vehicle has said that it is anything but a PX4 that flies a multicopter."""
+        return self._receiver.supported
 
     @property
     def peer(self) -> str | None:
         """Destination of commands, see `onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer
+
+    def send_message(self, message: Any) -> bool:
+        """See `MavlinkSender`; a vehicle that is not supported gets no message at all."""
+        return self.is_supported and super().send_message(message)
 
     def poll(self) -> None:
         """Read the messages that have arrived, and send a heartbeat when one is due.
@@ -143,6 +153,7 @@ class MavlinkLink(MavlinkSender):
             return  # another thread is polling
         try:
             self._receive()
+            self._request_mode()
             now = self._time()
             if now - self._heartbeat_sent >= 1.0:
                 self._heartbeat_sent = now
@@ -197,6 +208,16 @@ class MavlinkLink(MavlinkSender):
             self._arrived[name] = self._arrived.get(name, 0) + self._receiver.process(message)
         if name == "HEARTBEAT":
             self._request_missing_messages()
+        if self._receiver.is_mode_unknown and name == "COMMAND_ACK":
+            self._mode_requested = -np.inf
+
+    def _request_mode(self) -> None:
+        """Request the heartbeat of an armed vehicle, so that a pilot who takes over for a moment is noticed."""
+        now, d = self._time(), self._dialect
+        if self._state_rate > 0.0 and self._receiver.is_armed and now - self._mode_requested >= _MODE_PERIOD:
+            self._mode_requested = now
+            command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_REQUEST_MESSAGE, 0
+            self.send_message(d.MAVLink_command_long_message(self._system, *command, *[0.0] * 7))
 
     def _request_missing_messages(self) -> None:
         now = self._time()

@@ -25,9 +25,7 @@ def load_dialect() -> Any:
     try:
         from pymavlink.dialects.v20 import common
     except ImportError as error:
-        raise ImportError(
-            "MAVLink needs pymavlink, which is not installed; run: pip install 'aero-planner[mavlink]'."
-        ) from error
+        raise ImportError("MAVLink needs pymavlink, which is not installed; run: pip install pymavlink.") from error
     return common
 
 

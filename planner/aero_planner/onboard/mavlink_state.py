@@ -5,12 +5,13 @@ counts as reset when the reset counter of ODOMETRY changes, when LOCAL_POSITION_
 flight does (`aero_planner.onboard.estimator_reset`), and when the state begins to come from the other message. The
 covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
 
-HEARTBEAT tells whether the vehicle is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the air, GPS_RAW_INT
-whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
+HEARTBEAT tells what the vehicle is and whether it is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the
+air, GPS_RAW_INT whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
 """
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -26,6 +27,8 @@ from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
+_log = logging.getLogger(__name__)
+
 COORDINATE_LIMIT = 1e6
 """Largest coordinate [m] and velocity [m/s]; larger values have no precision left in float32."""
 
@@ -37,6 +40,13 @@ _RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
 _INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
+_MULTICOPTERS = (
+    "TRICOPTER", "QUADROTOR", "HEXAROTOR", "OCTOROTOR", "DECAROTOR", "DODECAROTOR", "GENERIC_MULTIROTOR",
+)  # fmt: skip
+"""Vehicles, by their MAV_TYPE, that a thrust and body rates steer."""
+
+
+_MODE_TIMEOUT = 0.1  # [s] after an accepted change of the mode in which a heartbeat must name the new one
 
 
 class StateReceiver:
@@ -47,19 +57,22 @@ class StateReceiver:
 
     Attributes:
         sample: The newest sample; None before the first state. Heartbeats update its flags between two states.
-        is_px4: True if the autopilot says that it is a PX4; None before its first heartbeat.
+        kind: What the vehicle says it is, such as "PX4 QUADROTOR"; None before its first heartbeat.
+        supported: False once it has said that it is anything but a PX4 that flies a multicopter. It stays so, with
+            that `kind`: a vehicle does not change, so another one with the same ids has been heard.
         dropped: Number of states that could not be used, by message and reason.
     """
 
     MESSAGES = (
         "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
-        "GPS_RAW_INT",
+        "GPS_RAW_INT", "COMMAND_ACK",
     )  # fmt: skip
     """Names of the messages that `process` takes."""
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.sample: VehicleSample | None = None
-        self.is_px4: bool | None = None
+        self.kind: str | None = None
+        self.supported = True
         self.dropped: dict[str, int] = {}
         self._time = clock
         self._dialect = load_dialect()
@@ -71,7 +84,10 @@ class StateReceiver:
             "EXTENDED_SYS_STATE": self._process_landed_state,
             "DISTANCE_SENSOR": self._process_distance,
             "GPS_RAW_INT": self._process_fix,
+            "COMMAND_ACK": self._process_acknowledgement,
         }
+        self._mode_changed = np.inf  # when a change of the mode was accepted that no heartbeat has named yet
+        self._mode_commands = _mode_commands(self._dialect)
         self._clocks = {name: HostClock() for name in ("ODOMETRY", "LOCAL_POSITION_NED")}
         self._armed = self._offboard = False
         self._heartbeat_time = self._odometry_time = -np.inf
@@ -91,11 +107,37 @@ class StateReceiver:
     def _process_heartbeat(self, message: Any) -> bool:
         self._heartbeat_time = self._time()
         self._armed = bool(message.base_mode & self._dialect.MAV_MODE_FLAG_SAFETY_ARMED)
-        self.is_px4 = message.autopilot == self._dialect.MAV_AUTOPILOT_PX4
+        if self.supported:
+            self._identify(message)
+        self._mode_changed = np.inf
         custom = message.base_mode & self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self._offboard = bool(custom) and message.custom_mode >> 16 & 0xFF == _PX4_OFFBOARD
         self._update_flags()
         return True
+
+    @property
+    def is_armed(self) -> bool:
+        """True if the newest heartbeat says that the vehicle is armed."""
+        return self._armed
+
+    @property
+    def is_mode_unknown(self) -> bool:
+        """True if somebody has changed the mode, and no heartbeat has told since what it is."""
+        return self._mode_changed < np.inf
+
+    def _process_acknowledgement(self, message: Any) -> bool:
+        if message.command in self._mode_commands and message.result == self._dialect.MAV_RESULT_ACCEPTED:
+            self._mode_changed = min(self._mode_changed, self._time())
+        return True
+
+    def _identify(self, message: Any) -> None:
+        autopilot = _enum_name(self._dialect, "MAV_AUTOPILOT", message.autopilot)
+        vehicle = _enum_name(self._dialect, "MAV_TYPE", message.type)
+        self.supported = autopilot == "PX4" and vehicle in _MULTICOPTERS
+        kind = f"{autopilot} {vehicle}"
+        if not self.supported:
+            _log.error("the vehicle is a %s, and only a PX4 that flies a multicopter is commanded", kind)
+        self.kind = kind
 
     def _process_landed_state(self, message: Any) -> bool:
         self._landed_state, self._landed_time = message.landed_state, self._time()
@@ -206,10 +248,12 @@ class StateReceiver:
         in_air = None
         if self._time() - self._landed_time <= _LANDED_TIMEOUT and self._landed_state:
             in_air = self._landed_state == self._dialect.MAV_LANDED_STATE_IN_AIR
+        offboard = self._offboard and not self._time() - self._mode_changed >= _MODE_TIMEOUT
         return VehicleSample(
-            time, state, self._armed, self._offboard, self._heartbeat_time, self._resets, in_air,
+            time, state, self._armed, offboard, self._heartbeat_time, self._resets, in_air,
             self._position_std, self._velocity_std, self._fix_time,
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
+            self.supported,
         )  # fmt: skip
 
     def _update_flags(self) -> None:
@@ -235,6 +279,21 @@ def _largest_std(covariance: Sequence[float]) -> float:
     """
     known = [variance for variance in (covariance[0], covariance[6], covariance[11]) if variance > 0.0]
     return math.sqrt(max(known)) if known else math.nan
+
+
+def _mode_commands(dialect: Any) -> frozenset[int]:
+    """Return the commands that change the mode of a PX4, or disarm it."""
+    names = (
+        "DO_SET_MODE", "COMPONENT_ARM_DISARM", "NAV_TAKEOFF", "NAV_LAND", "NAV_RETURN_TO_LAUNCH", "MISSION_START",
+        "DO_REPOSITION", "DO_ORBIT", "DO_FLIGHTTERMINATION",
+    )  # fmt: skip
+    return frozenset(getattr(dialect, f"MAV_CMD_{name}") for name in names)
+
+
+def _enum_name(dialect: Any, enum: str, value: int) -> str:
+    """Return the name of a value without the enum's prefix, such as "QUADROTOR"; the number itself if it has none."""
+    entry = dialect.enums[enum].get(value)
+    return str(value) if entry is None else entry.name.removeprefix(f"{enum}_")
 
 
 def _normalized(quaternion: ArrayLike) -> NDArray[np.float64] | None:

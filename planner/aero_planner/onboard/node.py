@@ -119,7 +119,7 @@ class Node:
         self._commands = CommandChoice(self._vehicle, config, self.schedule, self._stop_controller)
         self._thrust = ThrustEstimate(self._vehicle, config.thrust)
         self._disturbance = DisturbanceEstimate(config.response)
-        self._drift = DriftMonitor()
+        self._drift = DriftMonitor(config.limits.drift_time)
         self._drift_correction = DriftCorrection()
         self._watchdog = Watchdog(
             link,
@@ -163,6 +163,11 @@ class Node:
     def goal(self) -> NDArray[np.float64] | None:
         """Goal [m], shape [3], world frame."""
         return self._goals.goal
+
+    @property
+    def _floor(self) -> float:
+        """Height of the fence's lower end, world frame [m]."""
+        return self.ground.height + self.config.limits.fence_height_min
 
     def statistics(self) -> dict[str, Any]:
         """Return figures on deadlines, failures and losses, as plain values."""
@@ -216,7 +221,7 @@ class Node:
         corrected = motion
         if motion is not None:
             corrected = self._drift_correction.apply(motion, lost=is_lost(inputs, self.config.limits))
-        command = self._commands.choose(now, reaction, self.state, inputs, corrected)
+        command = self._commands.choose(now, reaction, self.state, inputs, corrected, floor=self._floor)
         if command is not None:
             self._send(command)
         elif motion is not None and self.safety.must_end_level:
@@ -326,11 +331,13 @@ class Node:
             drift_angle=self._drift.angle,
             drift_speed=self._drift.speed,
             inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),
+            below_floor=bool(position[2] < self._floor),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
             goal_number=self._goals.count,
             stopping=self._stopping,
+            supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
             clock_set=not self._is_signed or clock_is_set(),
         )
@@ -350,7 +357,8 @@ class Node:
                 self._disturbance.acceleration,
             )  # fmt: skip
         upcoming = self._commands.upcoming(now) if follows_plan else None
-        heartbeat = Heartbeat(now, motion, maybe_obeyed, upcoming, self._commands.path, self._thrust.gain)
+        path, gain = self._commands.path, self._thrust.gain
+        heartbeat = Heartbeat(now, motion, maybe_obeyed, upcoming, path, gain, self._floor)
         self._watchdog.report(heartbeat)
         if self._failsafe is not None:
             self._failsafe.report(heartbeat)

@@ -99,14 +99,13 @@ def _check_configuration(planner: PlannerConfig, onboard: OnboardConfig) -> Chec
 
 def _check_versions(log: bool) -> Iterator[Check]:
     yield Check("python", f"{platform.python_version()} on {platform.machine()}", ok=sys.version_info >= (3, 10))
-    packages = [("aero-planner", True, ""), ("numpy", True, ""), ("warp-lang", True, "")]
-    packages += [("pymavlink", True, "[mavlink]"), ("mcap", log, "[log]")]
-    for name, required, extra in packages:
+    packages = [("aero-planner", True), ("numpy", True), ("warp-lang", True), ("pymavlink", True), ("mcap", log)]
+    for name, required in packages:
         try:
             yield Check(name, importlib.metadata.version(name))
         except importlib.metadata.PackageNotFoundError:
             if required:
-                yield Check(name, "not installed", ok=False, advice=f"pip install 'aero-planner{extra}'")
+                yield Check(name, "not installed", ok=False, advice=f"pip install {name}")
 
 
 def _check_device(planner_config: PlannerConfig, onboard: OnboardConfig, device: str) -> Check:
@@ -239,16 +238,24 @@ def _check_failsafe_process(planner: PlannerConfig, onboard: OnboardConfig) -> C
 
 
 def _check_autopilot(link: MavlinkLink, onboard: OnboardConfig) -> Iterator[Check]:
-    if link.peer is None or link.is_px4 is None:
+    if link.peer is None or link.vehicle_kind is None:
+        return
+    where = link.peer.removeprefix("udpout:")
+    if not link.is_supported:
+        advice = (
+            "The node commands only a PX4 that flies a multicopter, and nothing else that has its ids: connect one, "
+            "name its address in mavlink.url and its id in mavlink.system, and check PX4's MAV_TYPE."
+        )
+        yield Check("autopilot", f"{link.vehicle_kind} at {where}", ok=False, advice=advice)
         return
     kind, _, rest = onboard.mavlink.url.partition(":")
     is_private = kind != "udpin" or is_loopback(rest.rpartition(":")[0])
     is_signed = onboard.mavlink.signing_key_file != "none"
-    finding = f"{'PX4' if link.is_px4 else 'not a PX4'} at {link.peer.removeprefix('udpout:')}"
     advice = (
         "The first one that is heard in the network is obeyed: check that this is its address, and use a serial port, "
         "udpout:ADDRESS:PORT, or mavlink.signing_key_file."
     )
+    finding = f"{link.vehicle_kind} at {where}"
     yield Check("autopilot", finding, ok=is_private or is_signed, required=False, advice=advice)
 
 
@@ -256,7 +263,7 @@ def _check_parameters(
     link: MavlinkLink, onboard: OnboardConfig, confirm: Callable[[Sequence[ParameterChange]], bool] | None
 ) -> Iterator[Check]:
     """Check PX4's parameters, after writing the changes that `confirm` agrees to."""
-    if not link.is_px4:
+    if link.vehicle_kind is None or not link.is_supported:
         return
     names = parameter_names(onboard)
     values = read_parameters(link, names)

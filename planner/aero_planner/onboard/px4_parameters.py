@@ -24,7 +24,9 @@ _TOLERANCE = 1e-6
 
 _OVERRIDE_OFFBOARD, _EXCEPT_OFFBOARD = 2, 4  # bits of COM_RC_OVERRIDE and COM_RCL_EXCEPT
 _HOLD, _POSITION = 5, 0  # values of COM_OBL_RC_ACT
-_RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT
+_RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT, and of NAV_DLL_ACT, in which 0 is none
+_BATTERY_WARN, _BATTERY_LAND = 0, 2  # values of COM_LOW_BAT_ACT
+_MIN_FAILSAFE_DELAY = 3.0  # [s] in which PX4's Hold stops the drone from 5 m/s
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,29 @@ def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
             "What PX4 does when the transmitter is lost. Its default, Return, first climbs to 30 m, through the trees.",
             lambda value: value in (_RCL_HOLD, _RCL_LAND),
             lambda _: _RCL_HOLD,
+        ),
+        _Wanted(
+            "NAV_DLL_ACT",
+            "0 (none), 1 (Hold) or 3 (Land)",
+            "What PX4 does when the ground station is lost: Return climbs first, through the trees.",
+            lambda value: value in (0, _RCL_HOLD, _RCL_LAND),
+            lambda _: 0,
+        ),
+        _Wanted(
+            "COM_LOW_BAT_ACT",
+            "0 (warning) or 2 (Land)",
+            "What PX4 does when the battery is critical, in OFFBOARD, too: Return climbs first, through the trees. "
+            "Choose one by hand.",
+            lambda value: value in (_BATTERY_WARN, _BATTERY_LAND),
+        ),
+        _Wanted(
+            "COM_FAIL_ACT_T",
+            f"{_MIN_FAILSAFE_DELAY:g} s or more",
+            "For this time PX4 holds the drone before it lands or returns, and warns the pilot, who can take over: the "
+            "drone must have come to rest.",
+            lambda value: value >= _MIN_FAILSAFE_DELAY,
+            lambda _: 5.0,
+            required=False,
         ),
         _Wanted(
             "THR_MDL_FAC",

@@ -27,10 +27,8 @@ _log = logging.getLogger(__name__)
 
 _ARRIVALS = 4096
 """States and packets that wait for the planning thread; if it hangs, the oldest are dropped."""
-_DRIFT_PERIOD = 0.7
+_DRIFT_PERIOD = 0.1
 """Time between two comparisons of the cloud with itself [s]."""
-_HOVER_SPEED = 1.0
-"""Speed up to which it is compared [m/s]."""
 _GROUND_PERIOD = 1.0
 """Time between two searches for the ground in the cloud [s]."""
 _SPARE_SWEEPS = 64
@@ -139,9 +137,9 @@ class Replanner:
         if not np.isfinite(cloud_age) or start < self._next_cloud:
             return None
         result = None if snapshot.goal is None else self._plan(snapshot, snapshot.goal, cloud, cloud_age, start)
-        if start >= self._next_drift and not snapshot.follows_plan and snapshot.motion.speed <= _HOVER_SPEED:
+        if start >= self._next_drift:
             self._next_drift = start + _DRIFT_PERIOD
-            older, newer, interval = self._sweeps.halves()
+            older, newer, interval = self._sweeps.newest_pair()
             drift = measure_drift(older, newer, snapshot.motion.position)
             self._drift = None if drift is None else (self._resets, drift, interval)
         if start >= self._next_ground:  # last, so that no plan waits for it

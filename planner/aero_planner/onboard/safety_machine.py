@@ -22,6 +22,10 @@ from aero_planner.onboard.failsafe_table import (
 )
 from aero_planner.onboard.settings import LimitSettings
 
+_FORGIVENESS = 0.2
+"""Part of the time without faults that is subtracted from the time with faults: a drone that alternates between flying
+and braking, and brakes for more than a sixth of the time, is handed back in the end."""
+
 
 @dataclass(frozen=True)
 class StateChange:
@@ -58,7 +62,8 @@ class SafetyMachine:
         self._limits = limits
         self._on_change = on_change
         self._seen_disarmed = limits.join_armed
-        self._entered = self._last_in_order = -math.inf
+        self._entered = self._last_step = -math.inf
+        self._fault_time = 0.0
         self._reached_goal = 0
 
     @property
@@ -71,8 +76,8 @@ class SafetyMachine:
         return () if self.inputs is None else find_faults(self.inputs, self._limits)
 
     def missing(self) -> tuple[Cause, ...]:
-        """Return the causes that prevent flying: the faults and, before a take-over, those that prevent READY."""
-        if self.inputs is None or self.state in COMMANDING:
+        """Return the causes that prevent flying: the faults and, unless it flies, those that prevent READY."""
+        if self.inputs is None or self.state in (State.FLYING, State.ARRIVED):
             return self.active_faults()
         not_ready = [cause for cause in NOT_READY if cause_applies(cause, self.inputs, self._limits)]
         return (*self.active_faults(), *not_ready)
@@ -81,15 +86,15 @@ class SafetyMachine:
         """Process the inputs of one tick at the time `now` [s] and return the reaction that is due."""
         # Before the first heartbeat it is unknown whether the motors are armed.
         self._seen_disarmed |= not inputs.armed and math.isfinite(inputs.heartbeat_age)
-        if self.state in (State.READY, State.FLYING, State.ARRIVED):
-            self._last_in_order = now
+        self._count_faults(now)
         self.inputs = dataclasses.replace(
             inputs,
             seen_disarmed=self._seen_disarmed,
             state_time=now - self._entered,
-            fault_time=now - self._last_in_order,
+            fault_time=self._fault_time,
             goal_new=inputs.goal_number != self._reached_goal,
             estimate_was_poor=Cause.ESTIMATE_POOR in self.active_faults(),
+            cloud_drifted=Cause.CLOUD_DRIFTS in self.active_faults(),
         )
         target, cause = next_state(self.state, self.inputs, self._limits)
         self.must_end_level = target is not self.state and self._must_end_level(self.state, target, inputs)
@@ -102,9 +107,21 @@ class SafetyMachine:
                 self._on_change(change)
         return self.reaction
 
+    def _count_faults(self, now: float) -> None:
+        """Count the time with faults since the last step."""
+        passed, self._last_step = now - self._last_step, now
+        if self.state in (State.FLYING, State.ARRIVED):
+            self._fault_time = max(self._fault_time - _FORGIVENESS * passed, 0.0)
+        elif self.state in (State.WITHDRAWING, State.BRAKING, State.HOLDING):
+            self._fault_time += passed
+        else:
+            self._fault_time = 0.0
+
     def _must_end_level(self, source: State, target: State, inputs: Inputs) -> bool:
         if cause_applies(Cause.LOOP_TIMEOUT, inputs, self._limits):
             # The watchdog or the failsafe process has sent that command, and the reported mode may be an old one.
+            return False
+        if not inputs.supported:
             return False
         if source in COMMANDING:
             return target is State.HANDED_BACK and inputs.armed and inputs.offboard

@@ -176,12 +176,16 @@ class LimitSettings(ParameterSection, section="limits"):
         "estimator has another source needs.", label="Maximum age of the GNSS fix",
     )  # fmt: skip
     drift_angle: float = live(
-        1.5, "deg", 0.1, 45.0, "Error of the attitude, as measured by the LiDAR in half a second of hover, above "
-        "which the node is not ready.", label="Maximum drift of the attitude",
+        1.5, "deg", 0.1, 45.0, "Change of the attitude's error, as measured by the LiDAR within 0.2 s, above which the "
+        "drone brakes.", label="Maximum drift of the attitude",
     )  # fmt: skip
     drift_speed: float = live(
-        0.3, "m/s", 0.01, 20.0, "Error of the velocity, as measured by the LiDAR in hover, above which the node "
-        "is not ready.", label="Maximum drift of the position",
+        0.3, "m/s", 0.01, 20.0, "Error of the velocity, as measured by the LiDAR, above which the drone brakes.",
+        label="Maximum drift of the position",
+    )  # fmt: skip
+    drift_time: float = live(
+        1.0, "s", 0.6, 10.0, "Time of the drift measurements, at most ten per second, whose median counts.",
+        label="Time of the drift measurements",
     )  # fmt: skip
     heartbeat_age: float = live(
         3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",

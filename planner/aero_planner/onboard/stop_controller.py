@@ -19,6 +19,12 @@ Array = NDArray[np.float64]
 _UP = np.array([0.0, 0.0, 1.0])
 _MIN_LIFT = 0.3
 """Smallest vertical force while braking, as a fraction of the weight: a drone that climbs fast must not turn over."""
+_MIN_UPRIGHT = 0.3
+"""Cosine of the tilt below which the thrust no longer makes up for the tilt: more would push the drone aside."""
+_SINK, _SINK_TIME = 0.1, 0.1
+"""Speed of sinking [m/s] beyond which it is stopped with this time constant [s]."""
+_CLIMB, _FLOOR_MARGIN = 0.8, 0.2
+"""Speed at which the drone climbs to the floor [m/s], and height above the floor to which it climbs [m]."""
 _LEVELLING_TIME = 3.0
 """Time for levelling, in time constants of the attitude: 1.5 deg remain of a tilt of 30 deg."""
 _PATH_MARGIN = 1.4
@@ -40,8 +46,11 @@ class StopCommand(NamedTuple):
 class StopController:
     """Stops the drone, level, and holds its position, by thrust and body rates.
 
-    The desired acceleration is -v / tau + k (p_hold - p), bounded, or that which follows a braking path. The thrust
-    vector turns to its direction at a rate proportional to the angle between the two. The heading is not controlled.
+    The desired acceleration is -v / tau + k (p_hold - p), bounded, or that which follows a braking path. Height comes
+    first: a drone that sinks, or is below the floor, gets the vertical acceleration that ends this, and the horizontal
+    one gets what is left of the thrust. The thrust axis turns to the direction of the force at a rate proportional to
+    the angle between the two. Until it is there, the thrust is that whose vertical part is the desired one, so that a
+    banked drone keeps its height while it turns. The heading is not controlled.
 
     Args:
         vehicle: Mass, gravity and control bounds.
@@ -68,6 +77,7 @@ class StopController:
         *,
         hold: Array | None = None,
         path: BrakingPath | None = None,
+        floor: float = -math.inf,
         remaining: float = math.inf,
     ) -> StopCommand:
         """Return the command that stops the drone.
@@ -76,26 +86,48 @@ class StopController:
             motion: Present motion.
             hold: Position to hold [m], shape [3], world frame; None only brakes.
             path: Path to brake on, if the drone is near it; None is the shortest way.
+            floor: Height below which the drone climbs, world frame [m].
             remaining: Time until the last command [s], which is `level`. The end of this time is used to level the
                 drone, at whatever speed it has then.
         """
         vehicle, q = self._vehicle, motion.quaternion
+        if hold is not None and hold[2] < floor:
+            hold = np.array([*hold[:2], floor + _FLOOR_MARGIN])
         desired = self._desired_acceleration(motion, hold, path, remaining)
-        force = vehicle.mass * (desired + vehicle.gravity * _UP)
-        force[2] = max(force[2], _MIN_LIFT * vehicle.mass * vehicle.gravity)
+        force = self._force(desired, self._least_climb(motion, floor))
         up = rotate(q, _UP)
         attitude, turn = self._turned(q, up, force / np.linalg.norm(force))
         rates = self._settings.attitude_gain * rotate(conjugate(q), turn)
         limit = vehicle.rate_xy_max
         control = np.array(
             [
-                min(max(float(force @ up), vehicle.thrust_min), vehicle.thrust_max),
+                min(max(force[2] * up[2] / max(up[2], _MIN_UPRIGHT) ** 2, vehicle.thrust_min), vehicle.thrust_max),
                 min(max(rates[0], -limit), limit),
                 min(max(rates[1], -limit), limit),
                 0.0,
             ]
         )
         return StopCommand(control, attitude)
+
+    def _least_climb(self, motion: MotionState, floor: float) -> float:
+        """Return the smallest vertical acceleration [m/s^2] that ends a fast descent, or leads back above the floor."""
+        climb = float(motion.velocity[2])
+        least = -(climb + _SINK) / _SINK_TIME
+        if motion.position[2] >= floor:
+            return least
+        time = self._settings.time_constant
+        wanted = min((floor + _FLOOR_MARGIN - float(motion.position[2])) / time, _CLIMB)
+        return max(least, (wanted - climb) / time)
+
+    def _force(self, desired: Array, least_climb: float) -> Array:
+        """Return the force [N], shape [3], world frame; its vertical part has priority over the horizontal one."""
+        vehicle = self._vehicle
+        weight = vehicle.mass * vehicle.gravity
+        lift = weight + vehicle.mass * max(float(desired[2]), least_climb)
+        lift = min(max(lift, _MIN_LIFT * weight), vehicle.thrust_max)
+        horizontal = vehicle.mass * desired[:2]
+        left = math.sqrt(vehicle.thrust_max**2 - lift**2)
+        return np.array([*_shortened(horizontal, left), lift])
 
     def _turned(self, q: Array, up: Array, direction: Array) -> tuple[Array, Array]:
         """Return the attitude after the shortest turn of the axis `up` to `direction`, and that turn [rad]."""
@@ -121,8 +153,7 @@ class StopController:
         elif place is not None:
             limit *= _PATH_MARGIN
             desired = self._acceleration_on_path(motion, place)
-        size = float(np.linalg.norm(desired))
-        return desired * (limit / size) if size > limit else desired
+        return _shortened(desired, limit)
 
     def _acceleration_on_path(self, motion: MotionState, place: PathState) -> Array:
         """Return the acceleration that keeps the drone on a path and stops it there, at its end or before."""
@@ -140,3 +171,9 @@ class StopController:
         on_path = float(needed @ tangent) + (speed - along) / settings.time_constant
         across = needed + offset - (motion.velocity - along * tangent) / settings.time_constant
         return min(shortest, on_path) * tangent + across - float(across @ tangent) * tangent
+
+
+def _shortened(vector: Array, limit: float) -> Array:
+    """Return `vector`, or one of its direction whose length is `limit` if it is longer."""
+    length = float(np.linalg.norm(vector))
+    return vector * (limit / length) if length > limit else vector

@@ -15,6 +15,8 @@ from aero_planner.sweeps import Arrival, Sweeps
 
 _POSES = 512
 """Poses that are kept: 5 s at 100 Hz."""
+_COMPARED_SWEEPS = 2
+"""Sweeps that are compared with as many before: with more, a drone in flight sees other surfaces in the second part."""
 
 
 class SweepBuffer:
@@ -54,7 +56,7 @@ class SweepBuffer:
             if not value > 0:
                 raise ValueError(f"{name} of the sweep buffer is {value!r}; it must be positive.")
         self.dropped = 0
-        self._window = sweeps * period
+        self._period, self._window = period, sweeps * period
         self._older_window = older_sweeps * period
         self._capacity = int(capacity)
         self._older_capacity = self._capacity * older_sweeps // sweeps
@@ -146,17 +148,19 @@ class SweepBuffer:
         positions, _ = self._poses.interpolate(times)
         return [Arrival(time, (x, y, z)) for time, (x, y, z) in zip(times, positions.tolist(), strict=True)]
 
-    def halves(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-        """Return the newest sweeps' points of the older and of the newer half [m], and the time between the two [s].
+    def newest_pair(self) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
+        """Return the points of the two sweeps before the newest two, and of these [m], and the time between them [s].
 
         Both have shape [n, 3], world frame.
         """
+        interval = _COMPARED_SWEEPS * self._period
         with self._lock:
-            middle = self._newest - 0.5 * self._window
-            older = [points for points, time in self._chunks if time <= middle]
-            newer = [points for points, time in self._chunks if time > middle]
+            older, newer = (
+                [points for points, time in self._chunks if 0.0 <= (self._newest - time) / interval - k < 1.0]
+                for k in (1, 0)
+            )
         none = np.zeros((0, 3), dtype=np.float32)
-        return (np.concatenate(older) if older else none, np.concatenate(newer) if newer else none, 0.5 * self._window)
+        return np.concatenate(older) if older else none, np.concatenate(newer) if newer else none, interval
 
     def _place_waiting(self) -> None:
         newest = self._poses.newest_time

@@ -14,7 +14,7 @@ from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
 from aero_planner.onboard.interfaces import CommandSink
 from aero_planner.onboard.settings import ResponseSettings
-from aero_planner.onboard.stop_controller import StopController
+from aero_planner.onboard.stop_controller import StopCommand, StopController
 
 _log = logging.getLogger(__name__)
 
@@ -42,6 +42,8 @@ class Heartbeat(NamedTuple):
     """Braking path; None if no cloud is known."""
     thrust_gain: float = 1.0
     """See `aero_planner.onboard.thrust_estimate.ThrustEstimate`."""
+    floor: float = -math.inf
+    """Height below which a drone that is being stopped climbs, world frame [m]."""
 
 
 class Watchdog:
@@ -131,7 +133,7 @@ class Watchdog:
             return self._brake(heartbeat, now, motion)
         if heartbeat.upcoming is None:
             # The loop was stopping the drone, whose last body rates must not last until the deadline.
-            stop = self._stop.command(motion, path=heartbeat.path, remaining=self._time_left(silence))
+            stop = self._stop_command(heartbeat, motion, self._time_left(silence))
             return self._send(heartbeat, now, motion, stop.control)
         step = int(silence / self._period + _ROUNDING)
         if step > len(heartbeat.upcoming):
@@ -150,12 +152,15 @@ class Watchdog:
             self._link.send(*self._stop.level(motion))
             _log.warning("the %s has braked for as long as it may; the autopilot now has control", self._name)
             return self._own_action
-        stop = self._stop.command(motion, path=heartbeat.path, remaining=remaining)
+        stop = self._stop_command(heartbeat, motion, remaining)
         action = self._send(heartbeat, now, motion, stop.control, attitude=stop.attitude)
         if is_first:
             self.interventions += 1
             _log.error("the control loop has stalled for %.0f ms: the %s brakes", 1e3 * silence, self._name)
         return action
+
+    def _stop_command(self, heartbeat: Heartbeat, motion: MotionState, remaining: float) -> StopCommand:
+        return self._stop.command(motion, path=heartbeat.path, floor=heartbeat.floor, remaining=remaining)
 
     def _time_left(self, silence: float) -> float:
         """Return the time until the drone is handed back [s]."""

@@ -27,8 +27,8 @@ class Peer:
     def send(self, *messages):
         self.socket.sendto(b"".join(bytes(m.pack(self.protocol)) for m in messages), self.address)
 
-    def heartbeat(self, base=ARMED, mode=OFFBOARD):
-        self.send(mavlink.MAVLink_heartbeat_message(2, mavlink.MAV_AUTOPILOT_PX4, base, mode, 4, 3))
+    def heartbeat(self, base=ARMED, mode=OFFBOARD, *, autopilot=mavlink.MAV_AUTOPILOT_PX4, kind=2):
+        self.send(mavlink.MAVLink_heartbeat_message(kind, autopilot, base, mode, 4, 3))
 
     def received(self, *names):
         messages = []

@@ -51,14 +51,24 @@ def is_well(inputs: Inputs) -> bool:
     right = inputs.state_finite and inputs.plan_finite and inputs.inside_fence and inputs.plan_status is PlanStatus.OK
     scale = 0.7 if inputs.estimate_was_poor else 1.0
     poor = inputs.position_std > scale * LIMITS.position_std or inputs.velocity_std > scale * LIMITS.velocity_std
+    scale = 0.7 if inputs.cloud_drifted else 1.0
+    drifts = inputs.drift_speed > scale * LIMITS.drift_speed
+    drifts = drifts or inputs.drift_angle > scale * math.radians(LIMITS.drift_angle)
     is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
-    return fresh and right and is_fixed and not poor and not inputs.stopping
+    return fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
+
+
+def may_begin_to_fly(inputs: Inputs) -> bool:
+    """Return True if every condition of READY is met, by a definition independent of the machine's."""
+    return is_well(inputs) and inputs.in_air is True and inputs.guarded and inputs.supported
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     """Check the invariants of every single step, whatever came before."""
     reaction = reaction_to(target, find_faults(inputs, LIMITS))
     ours, well = inputs.armed and inputs.offboard, is_well(inputs)
+    if not inputs.supported:
+        assert reaction is Reaction.SILENT
     if not ours:
         # Outside OFFBOARD nothing is sent except the stream that PX4 requires, without faults, and what follows it
         # until a heartbeat tells that the pilot has not switched.
@@ -73,11 +83,13 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     right = dataclasses.replace(inputs, plan_status=PlanStatus.OK, cloud_age=0.0, stopping=False)
     only_unsafe = unsafe and is_well(right)  # a plan may be unsafe because of a stale cloud
     assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
+    if target in (State.READY, State.FLYING) and target is not state:
+        assert may_begin_to_fly(inputs)
+    if target is State.FLYING and state in (State.BRAKING, State.HOLDING):
+        assert inputs.fault_time <= LIMITS.brake_time + LIMITS.hold_time
     if target is State.READY:
-        assert well and not ours  # a node that finds itself in OFFBOARD does not start
-        assert inputs.in_air is True  # nor one that finds itself on the ground
-        assert inputs.guarded
-        assert not inputs.drift_speed > LIMITS.drift_speed and not inputs.drift_angle > math.radians(LIMITS.drift_angle)
+        # A node that finds itself in OFFBOARD does not start.
+        assert not ours
     if reaction is Reaction.HOLD and target is State.HOLDING:
         assert not any(cause_applies(fault, inputs, LIMITS) for fault in UNLOCATED)
     if state is State.HANDED_BACK:

@@ -42,6 +42,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "velocity uncertain": {"velocity_std": math.inf},
     "uncertainty still too large": {"velocity_std": 0.9 * LIMITS.velocity_std, "estimate_was_poor": True},
     "fence": {"inside_fence": False},
+    "floor": {"inside_fence": False, "below_floor": True},
     "overrun": {"loop_age": LIMITS.deadline + 0.01},
     "loop gone": {"loop_age": LIMITS.deadline + LIMITS.blind_time + 0.01},
     "cloud": {"cloud_age": math.inf},
@@ -53,10 +54,12 @@ BREAKS: dict[str, dict[str, object]] = {
     "stale for the planner": {"plan_status": PlanStatus.STALE_CLOUD},
     "on the ground": {"in_air": False},
     "landed state unknown": {"in_air": None},
+    "another vehicle": {"supported": False},
     "no failsafe process": {"guarded": False},
     "no date": {"clock_set": False},
     "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
     "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
+    "cloud still moves too much": {"drift_speed": 0.9 * LIMITS.drift_speed, "cloud_drifted": True},
 }
 
 

@@ -92,15 +92,22 @@ def test_only_commands_heartbeats_and_requests_for_states_are_sent(link, autopil
             for message in messages:
                 seen.setdefault(message.get_type(), []).append(message)
     assert set(seen) == {"SET_ATTITUDE_TARGET", "HEARTBEAT", "COMMAND_LONG"}
-    assert {m.command for m in seen["COMMAND_LONG"]} == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
+    requests = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
+    assert {m.command for m in seen["COMMAND_LONG"]} == requests
     assert {m.type for m in seen["HEARTBEAT"]} == {mavlink.MAV_TYPE_ONBOARD_CONTROLLER}
     assert len(seen["HEARTBEAT"]) == pytest.approx(10, abs=1)
+
+
+def interval_requests(autopilot):
+    """Return the requests for periodic messages that have arrived."""
+    interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return [request for request in autopilot.received("COMMAND_LONG") if request.command == interval]
 
 
 def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
-    requests = {request.param1: request.param2 for request in autopilot.received("COMMAND_LONG")}
+    requests = {request.param1: request.param2 for request in interval_requests(autopilot)}
     wanted = {"ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5, "GPS_RAW_INT": 2e5}
     assert requests == {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): period for name, period in wanted.items()}
     for k in range(250):
@@ -109,7 +116,7 @@ def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
         link.poll()
     autopilot.heartbeat()
     link.poll()
-    (request,) = autopilot.received("COMMAND_LONG")
+    (request,) = interval_requests(autopilot)
     assert request.param1 == mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR
 
 

@@ -119,7 +119,7 @@ def test_the_floor_lies_above_the_ground_that_the_distance_sensor_sees(small_pla
     for k in range(10):  # measured anew each time
         simulation.link.ground_height = 0.6 + 0.001 * (k % 2)
         simulation.run(0.1)
-    assert simulation.node.state is State.WAITING and Cause.OUTSIDE_FENCE in simulation.node.safety.missing()
+    assert simulation.node.state is State.WAITING and Cause.BELOW_FLOOR in simulation.node.safety.missing()
     assert simulation.planner.options["ground_height"] == pytest.approx(2.2, abs=0.01)
     assert simulation.node.statistics()["ground_source"] == "RANGE"
     simulation.motion = dataclasses.replace(simulation.motion, position=np.array([0.0, 0.0, 1.7]))

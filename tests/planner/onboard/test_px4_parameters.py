@@ -26,6 +26,7 @@ ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 CHANGE = ParameterChange("NAV_RCL_ACT", 1, 2)
 DEFAULTS = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 4, "NAV_RCL_ACT": 2,
+    "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 0, "COM_FAIL_ACT_T": 5.0,
     "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MAV_1_FORWARD": 0,
 }  # fmt: skip
 """PX4's defaults, but for COM_RCL_EXCEPT."""
@@ -202,3 +203,22 @@ def test_a_parameter_that_is_not_reported_is_a_warning():
     checks = list(check_parameters({}, OnboardConfig()))
     assert checks and all(check.finding == "not reported" and not check.required for check in checks)
     assert find_changes({}, OnboardConfig()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "repaired", "is_required"),
+    [
+        ("NAV_DLL_ACT", 2, 0, True),  # Return
+        ("COM_LOW_BAT_ACT", 3, None, True),  # Return, then Land
+        ("COM_LOW_BAT_ACT", 1, None, True),
+        ("COM_FAIL_ACT_T", 0.0, 5.0, False),
+    ],
+)
+def test_no_other_failsafe_of_px4_may_lead_the_drone_through_the_trees(name, wrong, repaired, is_required):
+    values = {**DEFAULTS, name: wrong}
+    check = next(check for check in check_parameters(values, OnboardConfig()) if check.name == name)
+    assert not check.ok and check.required is is_required
+    changes = {change.name: change.value for change in find_changes(values, OnboardConfig())}
+    assert changes.get(name) == repaired
+    right = next(check for check in check_parameters(DEFAULTS, OnboardConfig()) if check.name == name)
+    assert right.ok

@@ -1,0 +1,34 @@
+"""What docs/onboard.md tells a user to write and to run."""
+
+import re
+from pathlib import Path
+
+from aero_planner import PlannerConfig
+from aero_planner.onboard.known_drone import config_on_drone
+from aero_planner.onboard.px4_parameters import parameter_names
+from aero_planner.onboard.settings import OnboardConfig, check_together, load_flight_config
+
+DOCS = Path(__file__).parents[3] / "docs"
+GUIDE, RESULTS = (DOCS.joinpath(name).read_text(encoding="utf-8") for name in ("onboard.md", "onboard_results.md"))
+
+
+def test_the_flight_configuration_is_valid_and_has_the_preset_of_the_tables(tmp_path: Path):
+    (text,) = re.findall(r"```yaml\n(.*?)```", GUIDE, re.DOTALL)
+    path = tmp_path / "flight.yaml"
+    path.write_text(text)
+    planner, onboard = load_flight_config(path)
+    check_together(config_on_drone(planner, onboard), onboard)
+    named = re.findall(r"^With `preset: (\w+)`", RESULTS, re.MULTILINE)
+    assert named and text.startswith(f"preset: {named[0]}\n")
+    assert planner.vehicle.rate_lag == PlannerConfig.preset(named[0]).vehicle.rate_lag
+
+
+def test_nothing_is_installed_from_an_index_that_does_not_have_it():
+    for text in (GUIDE, RESULTS):
+        assert not re.search(r'pip install [^\n]*"?aero-(planner|viz)[\["\s]', text)
+
+
+def test_every_parameter_that_preflight_reads_is_explained():
+    config = OnboardConfig().replace({"mavlink.goal_senders": "255@autopilot"})
+    for name in parameter_names(config):
+        assert f"| `{name}` |" in GUIDE

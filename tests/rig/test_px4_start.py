@@ -1,0 +1,52 @@
+"""The start of a flight with PX4, against a program that speaks like it."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_planner.onboard.connections import thrust_model
+from aero_planner.onboard.settings import OnboardConfig
+from aero_viz.errors import UserError
+from aero_viz.rig.px4_autopilot import Px4Autopilot
+from aero_viz.rig.px4_process import HOST, Px4Process
+from aero_viz.rig.px4_setup import set_parameters
+from tests.rig.test_px4 import program
+
+VEHICLE, ONBOARD = PlannerConfig().vehicle, OnboardConfig()
+LIKE_PX4 = Path(__file__).parent / "px4_like.py"
+LOCKSTEP, REAL_TIME = 0.25, 1.0
+
+
+@pytest.fixture
+def px4(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Px4Process]:
+    """A program that speaks like PX4, at the speed that the test asks for."""
+    program(tmp_path, f'exec "{sys.executable}" "{LIKE_PX4}" "$@"')
+    process = Px4Process(tmp_path, speed=request.param)
+    yield process
+    process.close()
+
+
+@pytest.mark.parametrize("px4", [LOCKSTEP, REAL_TIME], indirect=True, ids=["lockstep", "real time"])
+def test_parameters_are_set_and_the_origin_is_found_however_slow_the_heartbeats_are(px4: Px4Process):
+    changes = set_parameters(px4, ONBOARD, VEHICLE, {"MIS_TAKEOFF_ALT": 2.0})
+    assert {change.name: change.value for change in changes} == {
+        "COM_OF_LOSS_T": 0.2, "COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "NAV_RCL_ACT": 1, "MIS_TAKEOFF_ALT": 2.0,
+    }  # fmt: skip
+    autopilot = Px4Autopilot(
+        px4, (HOST, 9), origin=np.array([1.0, 2.0, 0.0]), heading=0.0, thrust=thrust_model(ONBOARD, VEHICLE)
+    )
+    try:
+        # PX4 stands half a metre above the origin of its estimator.
+        np.testing.assert_allclose(autopilot.local(np.array([1.0, 2.0, 0.0])), [0.0, 0.0, 0.5], atol=1e-6)
+    finally:
+        autopilot.close()
+
+
+@pytest.mark.parametrize("px4", [LOCKSTEP], indirect=True, ids=["lockstep"])
+def test_a_parameter_that_px4_lacks_is_an_error(px4: Px4Process):
+    with pytest.raises(UserError, match="PX4 has no parameter NOT_THERE"):
+        set_parameters(px4, ONBOARD, VEHICLE, {"NOT_THERE": 1.0})
