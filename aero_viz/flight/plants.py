@@ -10,7 +10,7 @@ import warp as wp
 from aero_planner import registry
 from aero_planner.device.params import Params
 from aero_planner.device.rotations import quat_inverse_rotate
-from aero_viz.flight.motion import Motion, VehicleParameters, runge_kutta, thrust_axis, total_acceleration
+from aero_viz.flight.motion import Motion, VehicleParameters, runge_kutta, total_acceleration
 
 wp.set_module_options({"enable_backward": False})
 

@@ -2,9 +2,9 @@
 
 State x = [p, q, v, a], control u = (a_c, psi_rate): dp = v, dv = a + d - k v, and the acceleration a in effect follows
 the command a_c: da = (a_c - a) / tau. The autopilot turns the thrust to a - g; q is that attitude, with its yaw psi.
-Along x and y, tau is the time constant of its attitude control, plus the lag of the body rates; along z it is the lag of
-the thrust. The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk along x and y of at
-most rate_xy_max |g|, by which the thrust vector turns at its largest rate in hover.
+Along x and y, tau is the time constant of its attitude control, plus the lag of the body rates; along z it is the lag
+of the thrust. The bounds are those of the airframe: thrust_min <= m |a - g| <= thrust_max, and a jerk along x and y of
+at most rate_xy_max |g|, by which the thrust vector turns at its largest rate in hover.
 """
 
 # Postponed annotations are left out: Warp structs need the types themselves.
