@@ -130,8 +130,9 @@ class Plan:
     kinds: tuple[str, ...]
     """"anchor" for the first M_h M_v instances, then "previous" and "brake" where configured, length M."""
     controls: Array
-    """Optimised controls, by default thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4]. While a proven stop
-    is flown, its first control is the mean until the next plan, and its rollout has that over the time step."""
+    """Optimised controls of the vehicle model, by default thrust F_t [N] and body rates omega [rad/s], shape [M, N, 4].
+    While a proven stop is flown, its first control is the mean until the next plan, and its rollout has that over the
+    time step."""
     positions: Array
     """Positions of the Stage II rollouts [m], shape [M, N+1, 3], world frame."""
     velocities: Array
