@@ -141,10 +141,14 @@ def follow(
     p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
     params: Params,
 ) -> wp.vec4:  # fmt: skip
-    """Return the acceleration, less disturbance and drag, that a guide has by the time at which it is in effect."""
+    """Return the acceleration with which to follow a guide, less disturbance and drag.
+
+    It leads the guide by the lag. Along x and y, it also makes up for the acceleration in effect at the beginning.
+    """
     force = guide_force(guide, k.disturbance, k.drag)
     middle = time + 0.5 * k.dt
-    level = force_at(force, wp.min(middle + k.lag, guide.T))
+    missing = force_at(force, wp.min(time, guide.T)) - wp.vec3(acting[0], acting[1], acting[2])
+    level = force_at(force, wp.min(middle + k.lag, guide.T)) + missing
     climb = force_at(force, wp.min(middle + params.thrust_lag, guide.T))
     return clamp(wp.vec4(level[0], level[1], climb[2], yaw_rate), params)
 
