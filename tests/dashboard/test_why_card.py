@@ -28,7 +28,7 @@ def evidence() -> Evidence:
     replan = Replanner()
     evidence = replan(frames[-1])
     replan.close()
-    assert np.linalg.norm(evidence.plan.disturbance) > 0.1
+    assert evidence.plan.disturbance is not None and np.linalg.norm(evidence.plan.disturbance) > 0.1
     return evidence
 
 
