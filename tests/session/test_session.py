@@ -114,7 +114,7 @@ def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Sessi
 
 def test_a_structural_change_takes_effect_while_paused(live: Session):
     live.configure({"sampling.samples": 8, "anchors.columns": 3})
-    wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 2, 8))
+    wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 1, 8))
 
 
 def test_undoing_a_structural_change_restores_the_plan(session: Session):
