@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from aero_viz.scenes import scene
 QUICK = PlannerConfig.preset("fast-cpu").replace({"vehicle.model": "acceleration", "vehicle.speed_limit": 3.0})
 
 
-def respond(setpoint: tuple[float, ...], ticks: int, **changes: float) -> tuple[np.ndarray, Vehicle]:
+def respond(setpoint: tuple[float, ...], ticks: int, **changes: Any) -> tuple[np.ndarray, Vehicle]:
     """Return the acceleration after each tick of 5 ms under one setpoint, [ticks, 3], and the vehicle."""
     model = VehicleModel(**changes).commanded_by(QUICK)
     vehicle = Vehicle(model, np.zeros((1, 3)), [0.0], period=0.005, device="cpu")
