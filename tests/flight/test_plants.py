@@ -40,7 +40,7 @@ def test_an_autopilot_hovers_without_a_setpoint_of_acceleration():
 def test_a_setpoint_is_reached_in_the_end(setpoint: tuple[float, float, float]):
     accelerations, vehicle = respond((*setpoint, 0.0), 400)
     np.testing.assert_allclose(accelerations[-1], setpoint, atol=0.01)
-    force = np.add(setpoint, (0.0, 0.0, 9.81))
+    force = np.add(setpoint, [0.0, 0.0, 9.81])
     axis = rotate(vehicle.quaternion.numpy()[0].astype(float), np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(axis, force / np.linalg.norm(force), atol=1e-3)
 
@@ -151,9 +151,7 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
     return wp.vec3(0.0, 0.0, k.gain)
 
 @wp.func
-def follow(
-    p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Any, t: float, rate: float, k: Constants, c: Any
-):
+def follow(p: wp.vec3, v: wp.vec3, q: wp.vec4, a: wp.vec4, guide: Any, t: float, rate: float, k: Constants, c: Any):
     return wp.vec4(0.0, 0.0, 0.0, 0.0)
 
 controls = (("x", ""),) * 4
