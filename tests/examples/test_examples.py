@@ -19,7 +19,7 @@ OUTPUT = {
     "replay_recording": r"replay_recording\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
     "own_source": r"crossing ball: arrived after ",
     SERVED: r"http://127\.0\.0\.1:\d+",
-    "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at",
+    "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at a cost",
     "own_model": r"arrived after [34]\.\d m, at least 0\.[3-9]\d m from all pillars",
     "own_vehicle": r"default: \w+ after .*matched: arrived after ",
 }

@@ -136,7 +136,7 @@ def test_ten_plans_per_second_fly_their_controls_at_fifty():
     for tick in range(10):
         batch.step()
         plan = batch.planner.command.numpy()[0].astype(float)
-        ticks.append(int(batch.planner.history().tick[0]))
+        ticks.append(int(batch.planner.history().arrays["tick"][0]))
         phase = tick % 5 * 0.02 / step
         i = int(phase)
         expected = plan[i] + (phase - i) * (plan[i + 1] - plan[i])

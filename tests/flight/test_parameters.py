@@ -9,6 +9,8 @@ KINDS = [(VehicleModel, {}, "drone"), (StateNoise, {}, "noise"), (FlightRules, {
          (LidarModel, {"name": "odd"}, "lidar")]  # fmt: skip
 KEEP = {"drag": {"gust_speed": 0.0}, "gust_speed": {"drag": 0.1}, "rings": {"pattern": "rings"}}
 """Other parameters that must be set with a parameter, so that the two do not contradict each other."""
+FOLLOWING = {"name", "mount_position", "mount_angles", "model", "own"}
+"""Fields that no user sets by a number: names, poses, and what follows from the planner's vehicle model."""
 
 
 def fields() -> list[tuple[type, dict, str, str]]:
@@ -18,7 +20,7 @@ def fields() -> list[tuple[type, dict, str, str]]:
 def test_every_field_of_the_simulator_is_a_parameter():
     for kind, _, _ in KINDS:
         known = {info.name for info in kind.parameters()}
-        assert known == {f.name for f in dataclasses.fields(kind)} - {"name", "mount_position", "mount_angles"}
+        assert known == {f.name for f in dataclasses.fields(kind)} - FOLLOWING
         for info in kind.parameters():
             allowed = info.default in info.choices or info.low <= info.default <= info.high  # type: ignore[operator]
             assert allowed and info.help.endswith(".")

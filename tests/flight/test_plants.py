@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from aero_viz.scenes import scene
 QUICK = PlannerConfig.preset("fast-cpu").replace({"vehicle.model": "acceleration", "vehicle.speed_limit": 3.0})
 
 
-def respond(setpoint: tuple[float, ...], ticks: int, **changes: float) -> tuple[np.ndarray, Vehicle]:
+def respond(setpoint: tuple[float, ...], ticks: int, **changes: Any) -> tuple[np.ndarray, Vehicle]:
     """Return the acceleration after each tick of 5 ms under one setpoint, [ticks, 3], and the vehicle."""
     model = VehicleModel(**changes).commanded_by(QUICK)
     vehicle = Vehicle(model, np.zeros((1, 3)), [0.0], period=0.005, device="cpu")
@@ -39,7 +40,7 @@ def test_an_autopilot_hovers_without_a_setpoint_of_acceleration():
 def test_a_setpoint_is_reached_in_the_end(setpoint: tuple[float, float, float]):
     accelerations, vehicle = respond((*setpoint, 0.0), 400)
     np.testing.assert_allclose(accelerations[-1], setpoint, atol=0.01)
-    force = np.add(setpoint, (0.0, 0.0, 9.81))
+    force = np.add(setpoint, [0.0, 0.0, 9.81])
     axis = rotate(vehicle.quaternion.numpy()[0].astype(float), np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(axis, force / np.linalg.norm(force), atol=1e-3)
 
@@ -150,9 +151,7 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
     return wp.vec3(0.0, 0.0, k.gain)
 
 @wp.func
-def follow(
-    p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Any, t: float, rate: float, k: Constants, c: Any
-):
+def follow(p: wp.vec3, v: wp.vec3, q: wp.vec4, a: wp.vec4, guide: Any, t: float, rate: float, k: Constants, c: Any):
     return wp.vec4(0.0, 0.0, 0.0, 0.0)
 
 controls = (("x", ""),) * 4

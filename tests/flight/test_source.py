@@ -252,7 +252,7 @@ def test_a_flight_among_moving_obstacles_repeats_and_ends_where_they_are():
     motion = np.array([[-2.0, 0.0, 9.0]])
     moving = World("pole", np.array([0.0, 0.0, 2.0]), np.array([8.0, 0.0, 2.0]), cylinders=pole, motion=motion)
     source = FlightSource(moving, lidar=LIDAR)
-    hover: Any = SimpleNamespace(command=np.array([[9.81, 0.0, 0.0, 0.0]] * 2, dtype=np.float32))
+    hover: Any = SimpleNamespace(command=np.array([[9.81, 0.0, 0.0, 0.0]] * 2, dtype=np.float32), model="ctbr")
     for _ in range(60):
         source.advance(hover)
     checkpoint = source.checkpoint()
