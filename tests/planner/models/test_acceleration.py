@@ -12,24 +12,38 @@ from tests.planner.models.test_models import control, roll_out
 from tests.planner.reference import Array
 
 NAME = "acceleration"
+ATTITUDE_LAG = 0.08  # [s]
+LAGS: list[dict[str, Any]] = [{}, {"vehicle__thrust_lag": 0.04, "vehicle__rate_lag": 0.03}]
 
 
-def toward(a: Array, u: Array, change: float) -> Array:
-    """Return a after it has gone toward u by at most `change`."""
-    d = u - a
-    return a + min(1.0, change / max(float(np.linalg.norm(d)), 1e-12)) * d
+def toward(a: Array, u: Array, time: float, config: PlannerConfig) -> Array:
+    """Return a after it has gone toward u for a time [s]: with a lag and a bounded jerk along x and y."""
+    vehicle, d = config.vehicle, u - a
+    level = min(
+        1.0 - np.exp(-time / (ATTITUDE_LAG + vehicle.rate_lag)),
+        time * vehicle.rate_xy_max * vehicle.gravity / max(float(np.linalg.norm(d[:2])), 1e-12),
+    )
+    return a + np.array([level, level, climb_share(time, config)]) * d
+
+
+def climb_share(time: float, config: PlannerConfig) -> float:
+    """Return the share of the way to its command that the acceleration along z goes in a time [s]."""
+    return 1.0 - np.exp(-time / config.vehicle.thrust_lag) if config.vehicle.thrust_lag else 1.0
 
 
 def integrate(
     v: Array, acting: Array, controls: Array, config: PlannerConfig, disturbance: Array, drag: float, *, parts: int
 ) -> tuple[Array, Array, Array]:
     """Return p, v and the accelerations in effect after each control, integrated in `parts` steps per time step."""
-    p, dt, jerk = np.zeros(3), config.sampling.dt / parts, config.vehicle.rate_xy_max * config.vehicle.gravity
+    p, dt = np.zeros(3), config.sampling.dt / parts
+    remaining = config.vehicle.thrust_lag * climb_share(dt, config) / dt  # mean along z
     a, states = acting[:3], []
     for u in controls:
         for _ in range(parts):
-            after = toward(a, u[:3], dt * jerk)
-            acceleration = 0.5 * (a + after) + disturbance - drag * v
+            after = toward(a, u[:3], dt, config)
+            mean = 0.5 * (a + after)
+            mean[2] = u[2] + remaining * (a[2] - u[2])
+            acceleration = mean + disturbance - drag * v
             p, v, a = p + dt * v + 0.5 * dt * dt * acceleration, v + dt * acceleration, after
         states.append((p, v, a))
     p, v, a = (np.array(x) for x in zip(*states, strict=True))
@@ -42,10 +56,11 @@ def random_controls(rng: np.random.Generator, steps: int = 25) -> Array:
     return u.astype(np.float32).astype(np.float64)
 
 
+@pytest.mark.parametrize("lags", LAGS)
 @pytest.mark.parametrize("drag", [0.0, 0.3])
 @pytest.mark.parametrize("seed", range(3))
-def test_steps_are_those_of_the_equations(device: str, seed: int, drag: float):
-    config, rng = config_of(), np.random.default_rng(seed)
+def test_steps_are_those_of_the_equations(device: str, seed: int, drag: float, lags: dict[str, Any]):
+    config, rng = config_of(**lags), np.random.default_rng(seed)
     v, disturbance, u = rng.normal(size=3) * 3.0, rng.normal(size=3) if drag else np.zeros(3), random_controls(rng)
     level = np.array([1.0, 0.0, 0.0, 0.0])
     p, velocities, _, acting = roll_out(NAME, config, device, v, level, np.zeros(4), u, disturbance, drag)
@@ -53,7 +68,7 @@ def test_steps_are_those_of_the_equations(device: str, seed: int, drag: float):
     for found, values in zip((p, velocities, acting[:, :3]), expected, strict=True):
         np.testing.assert_allclose(found, values, atol=2e-5)
     np.testing.assert_allclose(acting[:, 3], u[:, 3], rtol=1e-6)
-    jerk = np.linalg.norm(np.diff(acting[:, :3], axis=0, prepend=0.0), axis=1) / config.sampling.dt
+    jerk = np.linalg.norm(np.diff(acting[:, :2], axis=0, prepend=0.0), axis=1) / config.sampling.dt
     limit = config.vehicle.rate_xy_max * config.vehicle.gravity
     assert jerk.max() <= limit * 1.0001 and (jerk > limit * 0.999).sum() > 10
     # A time step hardly differs from the differential equation itself.
@@ -63,11 +78,14 @@ def test_steps_are_those_of_the_equations(device: str, seed: int, drag: float):
     )
 
 
-def test_a_finer_step_is_nearer_to_the_differential_equation():
-    config, rng = config_of(), np.random.default_rng(1)
-    v, u, wind = np.array([3.0, -1.0, 0.5]), random_controls(rng), np.array([0.4, -0.3, 0.2])
-    exact = integrate(v, np.zeros(4), u, config, wind, 0.3, parts=400)
-    errors = [np.abs(integrate(v, np.zeros(4), u, config, wind, 0.3, parts=n)[0] - exact[0]).max() for n in (1, 2, 4)]
+@pytest.mark.parametrize("lags", LAGS)
+def test_a_finer_step_is_nearer_to_the_differential_equation(lags: dict[str, Any]):
+    config, wind = config_of(**lags), np.array([0.4, -0.3, 0.2])
+    errors = np.zeros(3)
+    for seed in range(4):
+        v, u = np.array([3.0, -1.0, 0.5]), random_controls(np.random.default_rng(seed))
+        exact, *finer = (integrate(v, np.zeros(4), u, config, wind, 0.3, parts=parts)[0] for parts in (400, 1, 2, 4))
+        errors += [np.sqrt(np.mean((p - exact) ** 2)) for p in finer]
     assert errors[0] > 1.6 * errors[1] > 2.5 * errors[2]
 
 
@@ -124,6 +142,6 @@ def test_plans_keep_the_bounds_of_thrust_and_jerk(device: str):
             assert v.mass * np.linalg.norm(f, axis=1).max() <= v.thrust_max * 1.0001
             assert v.mass * f[:, 2].min() >= v.thrust_min * 0.9999 and np.abs(u[:, 3]).max() <= v.rate_z_max * 1.0001
         accelerations = np.diff(plan.velocities.astype(np.float64), axis=1) / config.sampling.dt
-        change = np.linalg.norm(np.diff(accelerations, axis=1), axis=-1)
+        change = np.linalg.norm(np.diff(accelerations[..., :2], axis=1), axis=-1)
         # The mean acceleration of two neighbouring steps changes by no more than the largest jerk allows.
         assert change.max() <= config.sampling.dt * v.rate_xy_max * v.gravity * 1.001 + 1e-3
