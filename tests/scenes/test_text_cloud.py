@@ -86,7 +86,7 @@ def test_a_column_of_times_is_used(tmp_path: Path):
         ("x (mm),y (m),z (m)\n1,2,3\n", "different units"),
         ("90\n" + table(" "), "declares 90 points, and it holds 60"),
         (table(" ") + "1 2\n", "truncated: its last row has 2 columns"),
-        (table(",") + "1,tree,2\n", "tree"),
+        (table(",") + "1,tree,2\n", "row 60 does not have 3 numbers"),
         ("0.1 1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n", "holds poses (TUM) and no clouds: give it with --poses"),
         ("1 0 0 1 0 1 0 2 0 0 1 3\n" * 3, "holds poses (KITTI)"),
         ("#sec,nsec,x,y,z,qx,qy,qz,qw\n1,2,3,4,5,0,0,0,1\n", "holds poses"),
