@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import pickle
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 _PACKAGES = ("aero_planner", "aero_viz")
 _VALUES = {
@@ -45,7 +45,7 @@ def encode(value: Any) -> bytes:
     return pickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
 
 
-def decode(file: BinaryIO, limit: int) -> Any:
+def decode(file: IO[bytes], limit: int) -> Any:
     """Return the next answer in a file.
 
     Args:
@@ -71,7 +71,7 @@ def decode(file: BinaryIO, limit: int) -> Any:
 class _Bounded:
     """The first bytes of a file; reading more fails."""
 
-    def __init__(self, file: BinaryIO, limit: int) -> None:
+    def __init__(self, file: IO[bytes], limit: int) -> None:
         self.has_ended = False
         self._file, self._left = file, limit
 

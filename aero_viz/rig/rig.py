@@ -39,7 +39,13 @@ from aero_viz.rig.sensor import SimulatedMid360
 from aero_viz.scenes import World
 from aero_viz.sensors.models import LIDARS, LidarModel
 
-PX4_RESPONSE = {"rate_lag": 0.07, "thrust_lag": 0.045, "drag": 0.3, "rate_xy_max": 3.84, "rate_z_max": 0.8}
+PX4_RESPONSE: dict[str, Any] = {
+    "rate_lag": 0.07,
+    "thrust_lag": 0.045,
+    "drag": 0.3,
+    "rate_xy_max": 3.84,
+    "rate_z_max": 0.8,
+}
 """Response of the vehicle to setpoints, as identified from flights of PX4 1.17 in its own simulation: parameters of
 `VehicleModel`. The largest rates are those of PX4's attitude controller about x and y (MC_ROLLRATE_MAX), and what the
 motors reach about z."""

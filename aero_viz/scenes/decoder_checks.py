@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +51,7 @@ def check_count(declared: int, present: int, noun: str = "points") -> None:
         raise ValueError(f"it has {declared} {noun}, and at most {MAP_POINTS_MAX} can be used: thin it out")
 
 
-def load_rows(lines: Iterable[bytes] | TextIO, columns: Sequence[int], **options: Any) -> NDArray[np.float64]:
+def load_rows(lines: Iterable[bytes] | Iterable[str], columns: Sequence[int], **options: Any) -> NDArray[np.float64]:
     """Return the columns of numbers in a text [n, columns], with further options of `np.loadtxt`.
 
     Raises:

@@ -31,7 +31,7 @@ def test_a_name_does_not_control_the_terminal(capsys: pytest.CaptureFixture[str]
     path = tmp_path / name
     path.write_text(f'{{"name": "{chr(27)}", "x": 1}}')
     assert is_plain(run_refused(capsys, "world", "info", str(path)))
-    World("w", (0.0, 0.0, 2.0), (3.0, 0.0, 2.0)).save(path)
+    World("w", np.array([0.0, 0.0, 2.0]), np.array([3.0, 0.0, 2.0])).save(path)
     for command in (("world", "info"), ("inspect",), ("compare", str(path))):
         _, shown, error = run(capsys, *command, str(path))
         assert is_plain(shown) and is_plain(error)
@@ -105,7 +105,7 @@ def test_a_full_disk_leaves_no_half_world(
     boxes = np.full((400, 7), 0.3)
     boxes[:, :3] = np.random.default_rng(0).uniform(1.0, 9.0, (400, 3))
     world, output = str(tmp_path / "world.json"), tmp_path / name
-    World("w", (0.0, 0.0, 20.0), (3.0, 0.0, 20.0), boxes=boxes).save(world)
+    World("w", np.array([0.0, 0.0, 20.0]), np.array([3.0, 0.0, 20.0]), boxes=boxes).save(world)
     assert run(capsys, "world", "export", world, str(output))[0] == 0 and output.stat().st_size > 20_000
     output.write_text("old")
     full_disk()

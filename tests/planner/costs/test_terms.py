@@ -57,7 +57,8 @@ def random_steps(rng: np.random.Generator, steps: int) -> tuple[np.ndarray, dict
     x["u"], x["command"] = exact(rng.normal(size=(steps, 4)) * 3.0), exact(rng.normal(size=4))
     goal = {name: exact(rng.normal(size=3)) for name in ("p_goal", "v_goal")}
     goal["q_goal"] = exact(reference.unit(random_quaternion(rng, 3.0)))
-    records = np.zeros(steps, dtype=np.dtype(Step.numpy_dtype()))
+    dtype: Any = Step.numpy_dtype()
+    records = np.zeros(steps, dtype=np.dtype(dtype))
     records["t"], records["last"], records["is_guided"] = np.arange(steps), steps - 1, 1
     for name in ("p", "v", "q", "u", "p_guide"):
         records[name] = x[name]
@@ -106,7 +107,8 @@ def test_the_previous_plan_tracks_no_guide(device: str):
 
 def test_the_cost_to_go_is_the_blocked_length(device: str):
     config = PlannerConfig().replace({"costs.q_blocked": 3.0, "anchors.lookahead": 4.0})
-    ends = np.zeros(4, dtype=np.dtype(End.numpy_dtype()))
+    dtype: Any = End.numpy_dtype()
+    ends = np.zeros(4, dtype=np.dtype(dtype))
     ends["p"] = (1.0, 2.0, 3.0)
     ends["p_goal"] = [(1.0, 2.0, 13.0), (1.0, 5.0, 3.0), (1.0, 5.0, 3.0), (1.0, 2.0, 3.0)]
     ends["blocked"] = [0.5, 0.5, 0.0, 1.0]

@@ -192,10 +192,11 @@ def test_a_proven_stop_is_flown_as_it_was_proven(device: str, period: float, cou
 def fallback_kernel(composition: Composition) -> Any:
     choose = fallback(composition)
     Views: Any = composition.Views
+    AllScores: Any = Scores
 
     @wp.kernel(module="unique", enable_backward=False)
     def fallback_kernel(
-        status: int, demanded: float, scores: Scores, views: Views, params: wp.array(dtype=Params),
+        status: int, demanded: float, scores: AllScores, views: Views, params: wp.array(dtype=Params),
         out: wp.array(dtype=int),
     ):  # fmt: skip
         out[0] = choose(0, 1, status, demanded, scores, views, params[0])
