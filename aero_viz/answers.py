@@ -13,6 +13,7 @@ from typing import IO, Any
 
 _PACKAGES = ("aero_planner", "aero_viz")
 _VALUES = {
+    "array": {"_array_reconstructor", "array"},
     "builtins": {"bytearray", "complex", "frozenset", "range", "set", "slice"},
     "collections": {"Counter", "OrderedDict", "defaultdict", "deque"},
     "pathlib": {"Path", "PosixPath", "PurePosixPath", "PureWindowsPath", "WindowsPath"},
@@ -23,7 +24,7 @@ _VALUES = {
         for module, names in (("multiarray", {"_reconstruct", "scalar"}), ("numeric", {"_frombuffer"}))
     },
 }
-"""Types, and the functions with which NumPy makes arrays, by module."""
+"""Types, and the functions that make arrays, by module."""
 
 
 class Unpickler(pickle.Unpickler):

@@ -75,13 +75,13 @@ class PoseSamples:
         return np.array(self.values, float).reshape(-1, 10)
 
 
+@dataclass
 class TransformTree:
     """The transforms recorded on /tf and /tf_static. An edge is a pair of names (parent, child)."""
 
-    def __init__(self) -> None:
-        self._edges: dict[str, dict[str, PoseSamples]] = {}
-        """By child and parent."""
-        self._static: set[tuple[str, str]] = set()
+    _edges: dict[str, dict[str, PoseSamples]] = field(default_factory=dict, init=False)
+    """By child and parent."""
+    _static: set[tuple[str, str]] = field(default_factory=set, init=False)
 
     def add(self, parent: str, child: str, stamp: int, arrival: int, pose: tuple[float, ...], *, static: bool) -> None:
         """Add a transform: position and quaternion of `child` in `parent`."""

@@ -10,7 +10,9 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
+from aero_viz.catalog import open_source
 from aero_viz.errors import UserError
+from aero_viz.reader_process import ReaderProcess
 from aero_viz.recordings import inspect, open_recording
 
 
@@ -24,6 +26,13 @@ def test_report_of_every_format(written):
         {"name": "/points", "type": "sensor_msgs/msg/PointCloud2", "count": 10},
     ]
     assert info.points_per_sweep is not None and info.points_per_sweep.median == 200
+
+
+def test_every_format_opens_in_a_reader_process(written):
+    path = str(written(bags.drive()))
+    here, there = open_source(path, seed=0), open_source(path, seed=0, read=ReaderProcess())
+    assert here.info.times is not None
+    np.testing.assert_array_equal(there.info.times, here.info.times)
 
 
 @pytest.mark.parametrize(
