@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
@@ -199,6 +200,13 @@ def read_log(path: str | Path, read: Reader | None = None) -> LogContents:
 
 
 def _read(path: str) -> LogContents:
+    try:
+        return _read_records(path)
+    except McapError as error:
+        raise UserError(f"{type(error).__name__}: {error}") from error
+
+
+def _read_records(path: str) -> LogContents:
     contents = LogContents(path)
     with open_user_file(path) as file:
         if _is_cut_off(file):
