@@ -47,10 +47,10 @@ class StopController:
     """Stops the drone, level, and holds its position, by thrust and body rates.
 
     The desired acceleration is -v / tau + k (p_hold - p), bounded, or that which follows a braking path. Height comes
-    first: a drone that sinks, or is below the floor, gets the vertical acceleration that ends this, and the horizontal
-    one gets what is left of the thrust. The thrust axis turns to the direction of the force at a rate proportional to
-    the angle between the two. Until it is there, the thrust is that whose vertical part is the desired one, so that a
-    banked drone keeps its height while it turns. The heading is not controlled.
+    first: a drone that sinks, or is below the floor, gets the vertical acceleration that ends this, also on a path that
+    descends, and the horizontal one gets what is left of the thrust. The thrust axis turns to the direction of the
+    force at a rate proportional to the angle between the two. Until it is there, the thrust is that whose vertical part
+    is the desired one, so that a banked drone keeps its height while it turns. The heading is not controlled.
 
     Args:
         vehicle: Mass, gravity and control bounds.
@@ -152,7 +152,10 @@ class StopController:
             desired = desired + settings.position_gain * (hold - motion.position)
         elif place is not None:
             limit *= _PATH_MARGIN
+            climb = desired[2]
             desired = self._acceleration_on_path(motion, place)
+            if climb > 0.0:  # the drone sinks: its height comes before a path that descends
+                desired[2] = max(desired[2], climb)
         return _shortened(desired, limit)
 
     def _acceleration_on_path(self, motion: MotionState, place: PathState) -> Array:
