@@ -89,12 +89,15 @@ def whole_file(path: Path, *, alone: bool = False) -> Iterator[Path]:
         yield path
         return
     partial = path.with_name(f".{path.stem}.{'' if alone else f'{os.getpid()}.'}partial{path.suffix}")
-    with open_alone(partial) if alone else contextlib.nullcontext():
+    lock = path.with_name(f".{path.name}.lock")  # not the partial file: who writes that may open it alone
+    with open_alone(lock) if alone else contextlib.nullcontext():
         try:
             yield partial
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
+            if alone:
+                lock.unlink(missing_ok=True)
 
 
 def open_alone(path: str | os.PathLike[str], *, buffering: int = -1) -> BinaryIO:

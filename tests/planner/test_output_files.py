@@ -77,6 +77,13 @@ def test_a_whole_file_is_written_by_one_program(tmp_path: Path):
     assert path.read_text() == "mine" and [file.name for file in tmp_path.iterdir()] == ["out.txt"]
 
 
+def test_a_whole_file_may_be_opened_alone_by_who_writes_it(tmp_path: Path):
+    path = tmp_path / "flight.mcap"
+    with whole_file(path, alone=True) as partial, open_alone(partial) as file:
+        file.write(b"mine")
+    assert path.read_bytes() == b"mine" and os.listdir(tmp_path) == ["flight.mcap"]
+
+
 def test_a_link_stays_and_a_device_is_written_itself(tmp_path: Path):
     (tmp_path / "real.txt").write_text("old")
     (tmp_path / "link.txt").symlink_to("real.txt")
