@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner import plain_text
 from aero_viz.input_limits import BLOCK_MAX, NAME_MAX, LimitExceeded, ReadingBudget
 from aero_viz.recordings.file_bytes import FileBytes
 
@@ -135,8 +136,7 @@ def _full_type_name(name: str) -> str:
 
 def one_line(error: Exception) -> str:
     """Return the text of a library's error as a single printable line, without a full stop at its end."""
-    text = " ".join(str(error).split()).removesuffix(".")
-    return "".join(letter if letter.isprintable() else "?" for letter in text) or type(error).__name__
+    return plain_text.one_line(error).removesuffix(".") or type(error).__name__
 
 
 def list_names(names: list[str]) -> str:

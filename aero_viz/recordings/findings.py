@@ -120,7 +120,8 @@ def find_faults(recording: Recording) -> list[Finding]:
     found += _jumps(poses)
     found += _twists(poses)
     found += _airframe(recording, poses)
-    fixed = [found for found in (check_cloud_frame(recording, poses),) if found is not None]
+    frame = check_cloud_frame(recording, poses)
+    fixed = [] if frame is None else [frame]
     # Sweeps that do not move with the body, or poses that jump, say nothing about offsets.
     if not fixed and not any(finding.code == "pose-jumps" for finding in found):
         estimate = None if _is_flat(recording) else estimate_misalignment(recording, poses)

@@ -14,12 +14,11 @@ from aero_viz.recordings.storage import open_storage, readable
 from aero_viz.recordings.topics import choose_cloud_topic
 
 
-def read_map_cloud(path: str | Path, topic: str | None = None) -> NDArray[np.float64]:
+def read_map_cloud(path: str | Path) -> NDArray[np.float64]:
     """Return the points of a bag that holds one cloud [n, 3] [m], such as a map, without invalid ones.
 
     Args:
         path: file or folder.
-        topic: topic of the cloud; None takes the only one with clouds.
 
     Raises:
         UserError: there is no recording, it has more than one cloud, or the cloud has no valid point.
@@ -28,7 +27,7 @@ def read_map_cloud(path: str | Path, topic: str | None = None) -> NDArray[np.flo
     try:
         with readable(storage.path):
             contents = read_contents(storage)
-            chosen, _ = choose_cloud_topic(contents, topic)
+            chosen, _ = choose_cloud_topic(contents, None)
             if len(chosen.clouds) != 1:
                 raise UserError(f"{chosen.name} of {path} has {len(chosen.clouds)} clouds, and a map is a single one.")
             entry = chosen.clouds[0]

@@ -22,14 +22,12 @@ from aero_viz.recordings.imu_messages import GRAVITY, ImuRows
 from aero_viz.recordings.ouster import find_metadata
 from aero_viz.recordings.pcap import Datagram, udp_payloads
 from aero_viz.recordings.sensors import choose_sensor
-from aero_viz.recordings.velodyne import is_velodyne
+from aero_viz.recordings.velodyne import VELODYNE_POINTS, is_velodyne
 
 _SWEEP = 100_000_000
 """A Livox does not rotate: the packets of this period form a sweep [ns]."""
 _OUSTER_PORT = 7502
 _PROBED = 2000
-_VELODYNE_POINTS = 12 * 32
-"""Points of a packet."""
 
 
 class _Kind(NamedTuple):
@@ -115,7 +113,7 @@ def packets_of_sensor(path: Path, kind: str, wanted: str | None) -> Captured:
     with contextlib.suppress(EOFError, ValueError):
         for datagram in udp_payloads(path):
             if kind == "velodyne":
-                counts[name(datagram)] += _VELODYNE_POINTS * is_velodyne(datagram.payload)
+                counts[name(datagram)] += VELODYNE_POINTS * is_velodyne(datagram.payload)
             elif isinstance(packet := parse_packet(datagram.payload), LivoxPacket):
                 counts[name(datagram)] += packet.count
     chosen, notice = choose_sensor(+counts, wanted, path)

@@ -17,6 +17,8 @@ from aero_viz.recordings.cloud_files import StampedCloud
 
 VELODYNE_SIZE = 1206
 """Length of a packet [bytes]."""
+VELODYNE_POINTS = 12 * 32
+"""Points of a packet."""
 _TIME_MAX = 2**32 - 1  # [ns]
 
 

@@ -12,11 +12,9 @@ from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.point_cloud2 import RawCloud
 from aero_viz.recordings.ros_messages import DamagedMessage
-from aero_viz.recordings.velodyne import VELODYNE_SIZE, is_velodyne
+from aero_viz.recordings.velodyne import VELODYNE_POINTS, VELODYNE_SIZE, is_velodyne
 
 VELODYNE_SCAN = "velodyne_msgs/msg/VelodyneScan"
-_POINTS = 12 * 32
-"""Points of a packet."""
 _ROW = np.dtype([(name, "<f4") for name in ("x", "y", "z", "time")])
 
 
@@ -42,7 +40,7 @@ def read_velodyne_scan(message: bytes | memoryview, encoding: str) -> RawCloud:
         step = size + -size % 4 if start else size
         if not frame.isprintable():
             raise DamagedMessage("a name in it is damaged")
-        if count * _POINTS > SWEEP_POINTS_MAX or (count and at + 4 + (count - 1) * step + size > len(message)):
+        if count * VELODYNE_POINTS > SWEEP_POINTS_MAX or (count and at + 4 + (count - 1) * step + size > len(message)):
             raise DamagedMessage(f"it has {len(message)} bytes, too few for {count} packets")
         places = [at + 4 + i * step for i in range(count)]
         stamps = [struct.unpack_from(f"{order}iI", message, place) for place in places]
@@ -51,7 +49,7 @@ def read_velodyne_scan(message: bytes | memoryview, encoding: str) -> RawCloud:
     packets = [bytes(message[place + 8 : place + 8 + VELODYNE_SIZE]) for place in places]
     first = stamps[0][0] * 10**9 + stamps[0][1] if stamps else 0
     if not packets or not is_velodyne(packets[-1]):
-        return RawCloud(first, frame.lstrip("/"), np.broadcast_to(np.zeros((1, 1), _ROW), (1, count * _POINTS)))
+        return RawCloud(first, frame.lstrip("/"), np.broadcast_to(np.zeros((1, 1), _ROW), (1, count * VELODYNE_POINTS)))
     times = [1e-9 * (seconds * 10**9 + rest - first) for seconds, rest in stamps]
     return RawCloud(first, frame.lstrip("/"), _decoded(times, packets))
 

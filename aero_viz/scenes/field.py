@@ -28,8 +28,6 @@ Obstacle = Mapping[str, Rows]
 Draw = Callable[[], Obstacle]
 Position = tuple[float, float, float]
 
-_COLUMNS = {"cylinders": 8, "boxes": 7, "spheres": 4}
-
 
 def place(rng: np.random.Generator) -> Rows:
     """Return a uniform place of the area at z = 0 [m], [3]."""
@@ -73,15 +71,20 @@ def field_world(
         goal: [m].
         options: further arguments of `World`.
     """
-    rows: dict[str, list[Rows]] = {table: [np.zeros((0, columns))] for table, columns in _COLUMNS.items()}
+    rows: dict[str, list[Rows]] = {}
     for obstacle in [*obstacles, {"boxes": np.array([GROUND])}] if ground else obstacles:
         for table, part in obstacle.items():
-            rows[table].append(part)
+            rows.setdefault(table, []).append(part)
     tables = {table: np.concatenate(parts) for table, parts in rows.items()}
     return World(name, np.array(START), np.array(goal), **tables, **options)
 
 
-def _is_clear(obstacle: Obstacle, *, goal: Position = GOAL) -> bool:
+def uniform_field(name: str, draw: Draw, count: int, *, ground: bool) -> World:
+    """Return the world of obstacles of one kind on the field, see `field_world`."""
+    return field_world(name, scatter([draw] * count), ground=ground)
+
+
+def _is_clear(obstacle: Obstacle, *, goal: Position) -> bool:
     """Return True if an obstacle keeps `CLEAR_RADIUS` from `START` and `goal` [m]."""
     # Not a `World` for each obstacle: its checks would take most of the time of making a scene.
     ends = np.array([[START], [goal]])

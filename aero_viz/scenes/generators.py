@@ -15,12 +15,11 @@ from aero_viz.scenes.field import (
     CLEAR_RADIUS,
     GOAL,
     START,
-    Draw,
     Obstacle,
     field_world,
     leaning_axis,
     place,
-    scatter,
+    uniform_field,
 )
 from aero_viz.scenes.obstacle_fields import tree
 from aero_viz.scenes.world import World
@@ -43,7 +42,7 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
         ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
-    return _field(f"forest-{count}-{seed}", partial(tree, rng, tilt_max), count, ground)
+    return uniform_field(f"forest-{count}-{seed}", partial(tree, rng, tilt_max), count, ground=ground)
 
 
 def verticals(
@@ -63,7 +62,7 @@ def verticals(
     def draw() -> Obstacle:
         return {"cylinders": np.array([[*place(rng), 0.0, 0.0, 1.0, 0.5 * rng.uniform(*width), height]])}
 
-    return _field(f"verticals-{count}-{seed}", draw, count, ground)
+    return uniform_field(f"verticals-{count}-{seed}", draw, count, ground=ground)
 
 
 def inclines(
@@ -92,7 +91,7 @@ def inclines(
             "cylinders": np.array([[*place(rng), *leaning_axis(rng, (0.0, tilt_max)), rng.uniform(*radius), height]])
         }
 
-    return _field(f"inclines-{count}-{seed}", draw, count, ground)
+    return uniform_field(f"inclines-{count}-{seed}", draw, count, ground=ground)
 
 
 def density(
@@ -121,7 +120,7 @@ def density(
         return {"cylinders": np.array([[*place(rng), 0.0, 0.0, 1.0, radius, rng.uniform(*height)]])}
 
     kind = f"density-{height[0]:g}m" if height[0] == height[1] else "density"
-    return _field(f"{kind}-{count}-{seed}", draw, count, ground)
+    return uniform_field(f"{kind}-{count}-{seed}", draw, count, ground=ground)
 
 
 def moving(*, seed: int, count: int = 40, speed: tuple[float, float] = (0.5, 2.0), ground: bool = True) -> World:
@@ -222,7 +221,3 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
         raise UserError(f"The number of obstacles of the scene {name!r} is fixed; leave the count out.")
     options = {} if count is None else {"count": count}
     return SCENES[name].generate(seed=seed, ground=ground, **options)
-
-
-def _field(name: str, draw: Draw, count: int, ground: bool) -> World:
-    return field_world(name, scatter([draw] * count), ground=ground)

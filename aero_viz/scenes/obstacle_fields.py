@@ -20,6 +20,7 @@ from aero_viz.scenes.field import (
     leaning_axis,
     place,
     scatter,
+    uniform_field,
 )
 from aero_viz.scenes.world import World
 
@@ -48,7 +49,7 @@ def wires(*, seed: int, count: int = 60, ground: bool = True) -> World:
         ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
-    return field_world(f"wires-{count}-{seed}", scatter([partial(wire, rng)] * count), ground=ground)
+    return uniform_field(f"wires-{count}-{seed}", partial(wire, rng), count, ground=ground)
 
 
 def branches(*, seed: int, count: int = 80, ground: bool = True) -> World:
@@ -60,7 +61,7 @@ def branches(*, seed: int, count: int = 80, ground: bool = True) -> World:
         ground: True adds the ground, a box whose top is z = 0.
     """
     rng = np.random.default_rng(seed)
-    return field_world(f"branches-{count}-{seed}", scatter([partial(bare_tree, rng)] * count), ground=ground)
+    return uniform_field(f"branches-{count}-{seed}", partial(bare_tree, rng), count, ground=ground)
 
 
 def crowns(*, seed: int, count: int = 80, ground: bool = True) -> World:

@@ -67,8 +67,7 @@ class _Stages:
     def __init__(self, sequence: LaunchSequence, recorder: Recorder) -> None:
         self._sequence, self._r = sequence, recorder
         self._branch, self._serial = sequence.branch, sequence.serial
-        kinds = recorder.config.kinds
-        self._previous_index = kinds.index("previous") if "previous" in kinds else -1
+        self._previous_index = recorder.config.previous_index
 
     def record(self) -> None:
         s, r, w = self._sequence, self._r, self._r.work
@@ -252,8 +251,7 @@ class _Stages:
             selection.evaluate_states(r.batch_tuning, r.composition),
             (sizes.B, sizes.R, sizes.Q + 1, threads),
             inputs=[
-                r.problem, r.start, r.params, sizes.M, self._previous_index, r.grid, r.views, r.outputs.guides,
-                r.rollouts,
+                r.problem, r.start, r.params, self._previous_index, r.grid, r.views, r.outputs.guides, r.rollouts,
             ],
             outputs=[w.state_costs, r.scores],
             block_dim=32,

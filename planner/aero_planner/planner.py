@@ -432,11 +432,9 @@ class Planner:
         flown_rows = [int(flown) if m == replaced else m for m in instances]
         controls = [optimised[m] for m in flown_rows] + [sampled[m, :, :, k] for m, k in samples]
         rows = [(0, m) for m in (*flown_rows, *(m for m, _ in samples))]
-        kinds = self._config.kinds
-        previous_index = kinds.index("previous") if "previous" in kinds else -1
         shape = (max(len(rows), 1), self._sizes.N, 4)
         values = np.reshape(controls, shape) if rows else np.zeros(shape)
-        return evaluate_terms(self._recorder(), rows, values, previous_index)
+        return evaluate_terms(self._recorder(), rows, values, self._config.previous_index)
 
     def safety(self) -> Safety:
         """Return how the selection has judged the instances of the last plan, by its own functions.

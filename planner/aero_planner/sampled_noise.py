@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.kernels.mppi import NOISE_STEP
+from aero_planner.kernels.mppi import NOISE_STEP, random_sign
 
 if TYPE_CHECKING:
     from aero_planner.planner import Planner
@@ -34,7 +34,7 @@ def draw_noise(
     for t in range(noise.shape[3]):
         e = wp.vec4(0.0, 0.0, 0.0, 0.0)
         for i in range(4):
-            e[i] = table[t, i, row] * float(1 - 2 * ((bits >> (16 + i)) & 1))
+            e[i] = table[t, i, row] * random_sign(bits, 16 + i)
         noise[b, m, k, t] = e
 
 

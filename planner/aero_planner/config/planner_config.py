@@ -71,6 +71,11 @@ class PlannerConfig(SectionedConfig):
         return ("anchor",) * self.anchor_count + ("previous",) * self.candidates.previous
 
     @property
+    def previous_index(self) -> int:
+        """Index of the instance that continues the previous plan; -1 if there is none."""
+        return self.anchor_count if self.candidates.previous else -1
+
+    @property
     def horizon(self) -> float:
         """Length of the horizon, T = N dt [s]."""
         return self.sampling.steps * self.sampling.dt

@@ -85,7 +85,7 @@ def roll_out_controls(tuning: KernelTuning, composition: Composition) -> wp.Kern
 
 @wp.func
 def step_of_rollout(
-    b: int, m: int, t: int, instances: int, previous_index: int, problem: Problem, start: Start,
+    b: int, m: int, t: int, previous_index: int, problem: Problem, start: Start,
     guides: wp.array3d(dtype=wp.vec3), rollouts: Rollouts,
 ) -> Step:  # fmt: skip
     """Return a time step of a Stage II rollout as the cost terms see it."""
@@ -122,7 +122,6 @@ def evaluate_states(tuning: KernelTuning, composition: Composition) -> wp.Kernel
         start: Start,
         # configuration
         params: wp.array(dtype=Params),
-        instances: int,
         previous_index: int,
         # in
         grid: Grid,
@@ -159,7 +158,7 @@ def evaluate_states(tuning: KernelTuning, composition: Composition) -> wp.Kernel
         if t < steps or t == steps + PROBES:
             d = dynamic(d, x, time, b, views, c)
         if t < steps:
-            s = step_of_rollout(b, m, t, instances, previous_index, problem, start, guides, rollouts)
+            s = step_of_rollout(b, m, t, previous_index, problem, start, guides, rollouts)
             state_costs[b, m, t] = wp.vec3(goal_cost(s, c), obstacle_cost(d, c), other_cost(s, c))
             margin = c.speed_margin * wp.length(s.v)
             scores.clearance[b, m, t] = wp.min(d, c.distance_max)

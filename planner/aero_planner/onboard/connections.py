@@ -99,8 +99,7 @@ def _resolve(name: str, setting: str) -> str:
 
 
 def _signing_key(config: OnboardConfig) -> bytes | None:
-    path = config.mavlink.signing_key_file
-    return None if path == "none" else load_key(path)
+    return load_key(config.mavlink.signing_key_file) if config.mavlink.is_signed else None
 
 
 def thrust_model(config: OnboardConfig, vehicle: VehicleConfig) -> ThrustModel:

@@ -106,7 +106,7 @@ class Node:
         self._observers = tuple(observers)
         self._failsafe = failsafe
         self._vehicle = planner.config.vehicle
-        self._is_signed = config.mavlink.signing_key_file != "none"
+        self._is_signed = config.mavlink.is_signed
         self._period = 1.0 / config.rates.control
         # Silence after which the failsafe process, too, has sent its last command.
         self._replaced_time = takeover_time(config) + config.limits.blind_time + 2.0 * self._period

@@ -177,7 +177,7 @@ def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
 def _check_clock(onboard: OnboardConfig) -> Check:
     resolution = time.get_clock_info("monotonic").resolution
     finding = f"{time.strftime('%Y-%m-%d %H:%M:%S')}, monotonic clock with a resolution of {1e6 * resolution:.3g} us"
-    is_signed = onboard.mavlink.signing_key_file != "none"
+    is_signed = onboard.mavlink.is_signed
     depends = f"{'signed messages and ' if is_signed else ''}the times in the flight log depend"
     is_right = clock_is_set() and time.gmtime().tm_year < 2038 and resolution < 1e-3
     advice = f"Set the date (timedatectl); {depends} on it."
@@ -250,7 +250,7 @@ def _check_autopilot(link: MavlinkLink, onboard: OnboardConfig) -> Iterator[Chec
         return
     kind, _, rest = onboard.mavlink.url.partition(":")
     is_private = kind != "udpin" or is_loopback(rest.rpartition(":")[0])
-    is_signed = onboard.mavlink.signing_key_file != "none"
+    is_signed = onboard.mavlink.is_signed
     advice = (
         "The first one that is heard in the network is obeyed: check that this is its address, and use a serial port, "
         "udpout:ADDRESS:PORT, or mavlink.signing_key_file."

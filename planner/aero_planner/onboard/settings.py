@@ -115,6 +115,11 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
         100.0, "Hz", 0.0, 500.0, "Rate at which the autopilot is asked to send its state; 0 sends no request."
     )
 
+    @property
+    def is_signed(self) -> bool:
+        """True if messages are signed."""
+        return self.signing_key_file != "none"
+
 
 @dataclass(frozen=True)
 class RateSettings(ParameterSection, section="rates"):
