@@ -83,7 +83,7 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     right = dataclasses.replace(inputs, plan_status=PlanStatus.OK, cloud_age=0.0, stopping=False)
     only_unsafe = unsafe and is_well(right)  # a plan may be unsafe because of a stale cloud
     assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
-    if target in (State.READY, State.FLYING) and target is not state:
+    if target is State.READY or (target is State.FLYING and target is not state):
         assert may_begin_to_fly(inputs)
     if target is State.FLYING and state in (State.BRAKING, State.HOLDING):
         assert inputs.fault_time <= LIMITS.brake_time + LIMITS.hold_time
