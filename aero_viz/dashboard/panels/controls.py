@@ -95,7 +95,7 @@ class ItemsControl(Control):
         listed = value.split(", ")
         self.boxes = {
             name: gui.add_checkbox(name.replace("_", " ").capitalize(), name in listed, hint=_hint(info))
-            for name in info.items
+            for name in info.items or ()
         }
         """The checkboxes by the names."""
 
@@ -199,7 +199,7 @@ def add_control(gui: viser.GuiApi, info: ParameterInfo, value: Any) -> Control:
     hint = _hint(info)
     if info.choices:
         return _SingleControl(info, gui.add_dropdown(info.title, info.choices, initial_value=value, hint=hint))
-    if info.items:
+    if info.items is not None:
         return ItemsControl(gui, info, value)
     if isinstance(info.default, str):
         return _SingleControl(info, gui.add_text(info.title, value, hint=hint))
