@@ -95,7 +95,7 @@ pin: setup-release  ## update the hashes in constraints.txt after a version was 
 
 release: setup-release  ## build both wheels and their bill of materials (SBOM, CycloneDX) into dist/
 	@$(PYTHON_BIN) -m pip wheel -q --disable-pip-version-check --no-deps --no-build-isolation -w dist ./planner .
-	@scripts/pins Product | .venv/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/sbom.json -
+	@scripts/pins Product Extras | .venv/bin/cyclonedx-py requirements --pyproject pyproject.toml --output-reproducible -o dist/sbom.json -
 	@ls dist
 
 clean:           ## remove .venv and caches

@@ -15,7 +15,9 @@ PINS = Path(__file__).with_name("pins")
 
 def main() -> int:
     """Audit the pins of constraints.txt and print the result; return the exit code."""
-    pins = subprocess.run([PINS, "Product", "Tests", "Release"], check=True, capture_output=True, text=True).stdout
+    pins = subprocess.run(
+        [PINS, "Product", "Extras", "Tests", "Release"], check=True, capture_output=True, text=True
+    ).stdout
     pip_audit = Path(sys.executable).with_name("pip-audit")
     options = ["-r", "/dev/stdin", "--no-deps", "--disable-pip", "--format", "json", "--progress-spinner", "off"]
     done = subprocess.run([pip_audit, *options], capture_output=True, text=True, input=pins)

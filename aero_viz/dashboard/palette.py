@@ -13,7 +13,7 @@ Each layer has its own hue, in the scene, in the legend and in the status panel:
 
 from __future__ import annotations
 
-import matplotlib
+import cmap
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -68,18 +68,18 @@ OUTCOMES: dict[str, Rgb] = {"arrived": GOOD, "collision": BAD, "end": MUTED}
 """Colours of the outcomes of flights; the others have that of a warning."""
 
 
-def _colormap(name: str) -> Colormap:
-    """Return a colormap of matplotlib as 256 rows of sRGB, shape [256, 3]."""
-    return np.ascontiguousarray(matplotlib.colormaps[name](np.arange(256), bytes=True)[:, :3])
+def colormap(name: str) -> Colormap:
+    """Return the rows of a colormap as sRGB, shape [n, 3]."""
+    return (255 * cmap.Colormap(name).lut()[:, :3]).astype(np.uint8)
 
 
-VIRIDIS = _colormap("viridis")
-PLASMA = _colormap("plasma")
+VIRIDIS = colormap("viridis")
+PLASMA = colormap("plasma")
 COST = PLASMA[62:224]
 """Stage II cost from bad to good, without the ends, which are hard to see in the scene."""
 HEIGHT = VIRIDIS[70:]
 """Height from low to high, without the dark end, which is hard to see on the ground."""
-NEAR_TO_FAR = _colormap("turbo")[20:236][::-1]
+NEAR_TO_FAR = colormap("turbo")[20:236][::-1]
 """Range: red is near, blue is far, without the ends, which are too dark for the scene."""
 
 

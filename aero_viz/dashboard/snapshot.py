@@ -21,6 +21,7 @@ from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, Viewpoints, orientation
 from aero_viz.dashboard.server import sky
 from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 from aero_viz.session import Session
 from aero_viz.session.source import Source
 
@@ -39,10 +40,8 @@ def launch_chromium(*flags: str) -> Iterator[Browser]:
         UserError: Chromium or Playwright is missing, or Chromium does not start.
     """
     program = find_chromium()
-    try:
+    with from_extra("pictures", "Pictures"):
         from playwright.sync_api import Error, sync_playwright
-    except ImportError as error:
-        raise UserError("Pictures need Playwright, which is not installed; run: pip install playwright.") from error
     with sync_playwright() as playwright:
         try:
             browser = playwright.chromium.launch(executable_path=program, args=[*CHROMIUM_FLAGS, *flags])

@@ -17,6 +17,7 @@ from typing import Any, Protocol, TypeVar
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.machine import versions
+from aero_viz.extras import from_extra
 from aero_viz.flight.batch import BatchProgress
 
 Item = TypeVar("Item")
@@ -91,10 +92,8 @@ class RayExecutor:
     def __init__(self, address: str | None = None, *, device: str = "cpu") -> None:
         if device.startswith("cuda") and device not in ("cuda", "cuda:0"):
             raise UserError(f"With --ray each worker sees one GPU, as cuda:0, but --device is {device}; use cuda:0.")
-        try:
+        with from_extra("ray", "Flights on several machines (--ray)"):
             import ray
-        except ModuleNotFoundError:
-            raise UserError("--ray needs Ray, which is not installed: pip install 'aero-viz[ray]'.") from None
         self._ray: Any = ray
         self._needs_gpu = device.startswith("cuda")
         options: dict[str, Any] = {"address": address} if address else {"address": "local", "include_dashboard": False}

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from aero_planner.quaternions import quaternion_of_matrix, rotation_matrix
 from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_smoothing import smooth_motion
 from aero_viz.recordings.odometry_choice import OdometryChoice
@@ -166,11 +167,9 @@ class _KissIcp:
     posed_at = 0.5
 
     def __init__(self, level: NDArray[np.float64]) -> None:
-        try:
+        with from_extra("odometry", "Poses from the sweeps (--odometry)"):
             from kiss_icp.config import KISSConfig
             from kiss_icp.kiss_icp import KissICP
-        except ImportError as error:
-            raise _not_installed("kiss-icp", error) from error
         config = KISSConfig()
         config.data.min_range, config.data.max_range = _MIN_RANGE, _MAX_RANGE
         config.mapping.voxel_size, config.data.deskew = _KISS_VOXEL, False
@@ -188,11 +187,9 @@ class _RkoLio:
     posed_at = 1.0
 
     def __init__(self, imu: ImuSamples, mount: Transform, level: NDArray[np.float64], start: int) -> None:
-        try:
+        with from_extra("odometry", "Poses from the sweeps (--odometry)"):
             from rko_lio.lio import LIO, LIOConfig
             from rko_lio.rko_lio_pybind import InputError
-        except ImportError as error:
-            raise _not_installed("rko-lio", error) from error
         _silence_exit()
         config = LIOConfig(min_range=_MIN_RANGE, max_range=_MAX_RANGE, voxel_size=_RKO_VOXEL)
         config.max_correspondence_distance, config.max_expected_jerk = _RKO_DISTANCE, _RKO_JERK
@@ -240,10 +237,6 @@ def _silence_exit() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
     atexit.register(discard)
-
-
-def _not_installed(name: str, error: ImportError) -> UserError:
-    return UserError(f"{name} is not installed ({error}): pip install 'aero-viz[odometry]', or leave --odometry out.")
 
 
 def _matrix(transform: Transform) -> NDArray[np.float64]:

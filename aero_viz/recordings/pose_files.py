@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import multiply, quaternion_of_matrix, rotate, rotation_matrix
 from aero_planner.user_file import open_user_file, read_user_text
 from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 from aero_viz.reader_process import Limits, ReaderProcess
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_folders import is_oxts
@@ -81,12 +82,8 @@ def load_ulog(path: Path, topics: list[str]) -> Any:
     Raises:
         UserError: it cannot be read, or pyulog is not installed.
     """
-    try:
+    with from_extra("formats", f"{path} and other logs of PX4"):
         from pyulog import ULog
-    except ImportError as error:
-        raise UserError(
-            f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
-        ) from error
     with _damage_reported(path), open_user_file(path) as file:
         return ULog(file, topics)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from aero_planner.user_file import open_user_file
-from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.cloud_files import StampedCloud
 
@@ -38,12 +38,8 @@ def velodyne_sweeps(path: Path, packets: Iterable[tuple[int, bytes]]) -> Iterato
         UserError: velodyne-decoder is not installed.
         ValueError: the capture is damaged.
     """
-    try:
+    with from_extra("formats", f"{path} and other captures of a Velodyne"):
         import velodyne_decoder as decoder
-    except ImportError as error:
-        raise UserError(
-            f"velodyne-decoder is not installed ({error}): pip install 'aero-viz[formats]' to read {path}."
-        ) from error
     config = decoder.Config()
     config.timestamp_first_packet = True
     with contextlib.suppress(Exception), open_user_file(path) as file:  # only an HDL-64E has them in its packets

@@ -27,7 +27,7 @@ def read_velodyne_scan(message: bytes | memoryview, encoding: str) -> RawCloud:
         DamagedMessage: the message is damaged, or the decoder is not installed.
     """
     if importlib.util.find_spec("velodyne_decoder") is None:
-        raise DamagedMessage("velodyne-decoder is not installed: pip install 'aero-viz[formats]'")
+        raise DamagedMessage("velodyne_msgs/VelodyneScan needs the extra 'formats': pip install 'aero-viz[formats]'")
     try:
         start = 4 if encoding == "cdr" else 0  # of the content, which CDR aligns; ROS 1 has a sequence number first
         order = ">" if encoding == "cdr" and message[1] == 0 else "<"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aero_planner.onboard.lag_identification import identify_lag
 from aero_planner.quaternions import rotate
 from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 
 _OFFBOARD = 14  # vehicle_status.nav_state
 _SATURATED = 0.99  # of a motor's range
@@ -58,12 +59,8 @@ def load_reader() -> Any:
     Raises:
         UserError: pyulog is not installed.
     """
-    try:
+    with from_extra("px4", "Logs of PX4"):
         from pyulog import ULog
-    except ImportError as error:
-        raise UserError(
-            f"pyulog is not installed ({error}): pip install 'aero-viz[formats]' to read PX4's log."
-        ) from error
     return ULog
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
+from aero_viz.extras import from_extra
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count
 from aero_viz.scenes.epsg_units import FOOT, US_FOOT, unit_of_heights, unit_of_system
@@ -64,8 +65,8 @@ def read_las(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
     Raises:
         Exception: the file is damaged or truncated; a ValueError has a text for the user.
     """
-    import laspy
-
+    with from_extra("formats", f"{path} and other LAS files"):
+        import laspy
     _check_header(path)
     with laspy.open(open_user_file(path)) as reader:
         declared, units, present = reader.header.point_count, _units(reader.header), 0
@@ -91,8 +92,8 @@ def read_las_units(path: Path) -> LasUnits:
     Raises:
         Exception: as for `read_las`.
     """
-    import laspy
-
+    with from_extra("formats", f"{path} and other LAS files"):
+        import laspy
     _check_header(path)
     with laspy.open(open_user_file(path)) as reader:
         return _units(reader.header)

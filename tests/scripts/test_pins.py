@@ -22,7 +22,7 @@ def pins_of(*sections: str) -> str:
     return subprocess.run([SCRIPTS / "pins", *sections], check=True, capture_output=True, text=True).stdout
 
 
-@pytest.mark.parametrize("section", ["Product", "Tests", "Release"])
+@pytest.mark.parametrize("section", ["Product", "Extras", "Tests", "Release"])
 def test_every_pin_has_a_version_and_hashes(section: str):
     pins = pins_of(section).splitlines()[1:]
     assert len(pins) > 10
@@ -31,7 +31,7 @@ def test_every_pin_has_a_version_and_hashes(section: str):
 
 
 def test_the_pins_of_the_product_hold_the_versions_that_the_tests_run_with():
-    for name, version in re.findall(r"^([\w.-]+)==([^\s;]+)", pins_of("Product", "Tests"), re.MULTILINE):
+    for name, version in re.findall(r"^([\w.-]+)==([^\s;]+)", pins_of("Product", "Extras", "Tests"), re.MULTILINE):
         assert metadata.version(name) == version, f"{name}: run scripts/setup dev"
 
 

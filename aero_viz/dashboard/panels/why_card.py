@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,7 @@ from aero_viz.explain.evidence import Evidence
 from aero_viz.explain.verdict import closest, verdict
 
 Array = NDArray[np.float64]
-_TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :3]).astype(np.uint8))
+_TAB20 = palette.as_rgb(palette.colormap("tab20"))
 _COLORS: list[Rgb] = [_TAB20[i] for i in (0, 4, 5, 6, 8, 16, 2, 12, 1, 18, 3, 9, 17, 7, 19, 13, 10, 11, 14, 15)]
 """Colours of the terms of S2, in their order; those of terms beyond the last colour begin again."""
 _WIDTH, _HEIGHT = 290, 40

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.snapshot import launch_chromium
 from aero_viz.errors import UserError
+from aero_viz.extras import from_extra
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page
@@ -102,12 +103,8 @@ def _opened(url: str, size: tuple[int, int], storage: Mapping[str, str] | None =
 @contextlib.contextmanager
 def _video_writer(path: Path, size: tuple[int, int]) -> Iterator[Callable[[bytes], Any]]:
     """Yield a function that appends a JPEG picture to a video."""
-    try:
+    with from_extra("video", "Videos"):
         import imageio_ffmpeg
-    except ImportError as error:
-        raise UserError(
-            "Videos need imageio-ffmpeg, which is not installed; run: pip install 'aero-viz[video]'."
-        ) from error
     import imageio.v3 as iio
 
     options = ["-preset", "veryfast", "-movflags", "+faststart"]

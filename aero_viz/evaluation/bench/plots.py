@@ -9,6 +9,7 @@ from typing import Any
 from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.suites import Benchmark
 from aero_viz.evaluation.statistics import Summary
+from aero_viz.extras import from_extra
 
 _SIZE, _DPI = (8.0, 4.5), 150
 
@@ -39,8 +40,8 @@ def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, su
 
 
 def _figure(title: str, size: tuple[float, float] = _SIZE) -> tuple[Any, Any]:
-    from matplotlib.figure import Figure
-
+    with from_extra("pictures", "Plots"):
+        from matplotlib.figure import Figure
     figure = Figure(size, dpi=_DPI, layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(title, fontsize=10)

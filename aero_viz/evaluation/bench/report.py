@@ -57,11 +57,22 @@ def write_report(run: Run, folder: str | Path, *, external: Sequence[ExternalRes
         _write_csv(folder / "summary.csv", [_flat(summary) for summary in summaries])
         content = {**run.header, "complete": run.is_complete, "summary": [summary.to_dict() for summary in summaries]}
         (folder / "summary.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        plots = plot(run.benchmark, summaries, folder, subtitle=_subtitle(run), ours=OURS) if summaries else []
+        plots = _plots(run, summaries, folder)
         (folder / "report.md").write_text(_markdown(run, summaries, plots), encoding="utf-8")
     except OSError as error:
         raise UserError(f"Cannot write the report to {folder}: {error.strerror or error}.") from error
     return summaries
+
+
+def _plots(run: Run, summaries: Sequence[Summary], folder: Path) -> list[str]:
+    """Draw the plots and return a line of Markdown for each, or one that says why there are none."""
+    if not summaries:
+        return []
+    try:
+        files = plot(run.benchmark, summaries, folder, subtitle=_subtitle(run), ours=OURS)
+    except UserError as error:
+        return [str(error)]
+    return [f"![{path.stem}]({path.name})" for path in files]
 
 
 def format_summaries(summaries: Sequence[Summary]) -> str:
@@ -131,7 +142,7 @@ def _format_kind(kind: str, records: Sequence[dict[str, Any]], *, is_file: bool)
     return (f"{line}, none with the seeds {', '.join(sorted(closed, key=int))}" if closed else line) + suffix
 
 
-def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> str:
+def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[str]) -> str:
     benchmark, header = run.benchmark, run.header
     own = {summary.row: summary for summary in summaries if summary.planner == OURS}
     parts = [f"# {benchmark.title}", benchmark.note]
@@ -142,7 +153,7 @@ def _markdown(run: Run, summaries: Sequence[Summary], plots: Sequence[Path]) -> 
         parts += [IMPOSSIBLE_NOTE] if any(row.sudden for row in benchmark.rows) else []
         parts.append("## Success of each row")
     parts.append(_success_table(summaries))
-    parts += [f"![{path.stem}]({path.name})" for path in plots]
+    parts += plots
     parts += ["## Arrived flights", _metrics_table(benchmark, summaries)]
     if any(row.published for row in benchmark.rows):
         parts.append(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from aero_viz.errors import UserError
 from aero_viz.evaluation.tune.objectives import Objective
 from aero_viz.evaluation.tune.storage import check_file, first_line, sqlite_file
+from aero_viz.extras import from_extra
 from aero_viz.flight import FlightResult
 
 if TYPE_CHECKING:
@@ -100,10 +101,8 @@ def require_optuna() -> Any:
     Raises:
         UserError: it is not installed.
     """
-    try:
+    with from_extra("tune", "Studies"):
         import optuna
-    except ModuleNotFoundError:
-        raise UserError("Studies need Optuna, which is not installed: pip install 'optuna>=5,<6'.") from None
     # The pruner and the names of metrics are marked as experimental; constraints.txt pins the version.
     warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
     optuna.logging.set_verbosity(optuna.logging.ERROR)
