@@ -1,4 +1,4 @@
-"""Limits on what reading one file may cost, all in one place; docs/reliability.md explains them.
+"""Limits on what reading one file may cost, all in one place; docs/security.md sums them up.
 
 Most of them grow with the size of the file, so that a long recording is read whole and a small file that claims or
 expands to gigabytes is refused.

@@ -1,58 +1,54 @@
-"""The flags, names and figures in docs/flights.md are those of the code."""
+"""The names and figures in docs/flights.md and docs/benchmarks.md are those of the code."""
 
 import dataclasses
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
+from command_line import run
+from documents import TEXTS, blocks, rows
 
-from aero_viz.cli import main
+from aero_viz.dashboard.layers import LAYERS
 from aero_viz.evaluation.bench import BENCHMARKS
-from aero_viz.flight import FlightResult, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight import FlightResult
 from aero_viz.flight.rules import OUTCOMES
 from aero_viz.scenes import SCENES, World
-from aero_viz.sensors import LIDARS, LidarModel, coverage, lidar_model
+from aero_viz.sensors import LIDARS, coverage, lidar_model
 
-TEXT = (Path(__file__).resolve().parents[1] / "docs" / "flights.md").read_text(encoding="utf-8")
-KINDS = {"lidar": LidarModel, "drone": VehicleModel, "noise": StateNoise, "rules": FlightRules}
-
-
-def rows(heading: str) -> list[list[str]]:
-    """Return the cells of the tables below a heading."""
-    part = TEXT.split(f"\n## {heading}\n")[1].split("\n## ")[0]
-    table = [line for line in part.splitlines() if line.startswith("|") and "---" not in line]
-    return [[cell.strip().replace("\\|", "|") for cell in re.split(r"(?<!\\)\|", line)[1:-1]] for line in table]
-
-
-def test_every_flag_exists(capsys: pytest.CaptureFixture[str]):
-    with pytest.raises(SystemExit):
-        main(["fly", "--help"])
-    shown = capsys.readouterr().out
-    elsewhere = {"--resume", "--include", "--table", "--planner", "--world", "--batch", "--flights", "--spacing"}
-    flags = set(re.findall(r"--[a-z][a-z.-]*[a-z]", TEXT)) - elsewhere - {"--vehicle"}
-    assert len(flags) > 20 and [flag for flag in flags if flag not in shown] == []
+TEXT = TEXTS["docs/flights.md"]
 
 
 def test_names_are_complete():
-    scenes = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows("Worlds"))))
+    scenes = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows(TEXT, "Worlds"))))
     assert scenes == set(SCENES)
-    assert {row[0].strip("`") for row in rows("What ends a flight")[1:]} == set(OUTCOMES) - {None}
-    fields = set(re.findall(r"`(\w+)`", " ".join(row[0] for row in rows("Metrics"))))
+    assert {row[0].strip("`") for row in rows(TEXT, "What ends a flight")[1:]} == set(OUTCOMES) - {None}
+    fields = set(re.findall(r"`(\w+)`", " ".join(row[0] for row in rows(TEXT, "Metrics"))))
     assert fields == {field.name for field in dataclasses.fields(FlightResult)}
-    assert {row[0].strip("`") for row in rows("Benchmarks")[1:]} == set(BENCHMARKS)
-    assert rows("Sensor")[0][1:] == list(LIDARS)
+    benchmarks = [row[0].strip("`") for row in rows(TEXTS["docs/benchmarks.md"], "Flights") if len(row) == 2]
+    assert set(BENCHMARKS) <= set(benchmarks)
+    assert rows(TEXT, "Sensor")[0][1:] == list(LIDARS)
+    layers = {row[0] for row in rows(TEXTS["docs/page.md"], "Layers of what is not measured")[1:]}
+    assert layers and layers <= {layer.title for layer in LAYERS}
 
 
-def test_parameters_of_the_vehicle_are_complete():
-    text = " ".join(cell for row in rows("Vehicle") for cell in row) + TEXT
-    for section in ("drone", "noise"):
-        for info in KINDS[section].parameters():
-            assert info.name.replace("_", "-") in text, info.path
+def test_the_session_flies_as_the_command_does(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    (program,) = blocks(TEXT, "python")
+    beginning = program[: program.index("session.seek")]
+    code = f"{beginning}print(*frames[-1].observation.actual_state.position)\nsession.close()\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, timeout=300)
+    table = tmp_path / "t.csv"
+    options = ("--rules.time-limit", "1", "--trajectory", str(table))
+    assert run(capsys, "fly", "forest", "--seed", "3", *options)[0] == 0
+    row = table.read_text(encoding="utf-8").splitlines()[1 + 49]
+    place = [float(number) for number in row.split(",")[1:4]]
+    assert list(map(float, done.stdout.split())) == pytest.approx(place, abs=1e-6)
 
 
 def test_coverage_equals_the_table():
-    for cell, row in ((3.0, rows("Sensor")[-2]), (1.0, rows("Sensor")[-1])):
+    for cell, row in ((3.0, rows(TEXT, "Sensor")[-2]), (1.0, rows(TEXT, "Sensor")[-1])):
         assert row[0] == f"{cell:g} deg cells hit after 0.1, 0.5, 1.0 s"
         for name, text in zip(LIDARS, row[1:], strict=True):
             documented = [float(percent) for percent in re.findall(r"\d+", text)]

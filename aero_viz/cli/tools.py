@@ -120,7 +120,7 @@ def world_info(
     """Describe a world: its obstacles, whether a path exists, and how difficult it is.
 
     The difficulty is that of FlightBench (Yu et al. 2024): traversability obstruction, view occlusion and angle over
-    length along a short path from start to goal. docs/flights.md defines them.
+    length along a short path from start to goal. docs/benchmarks.md defines them.
 
     Args:
         world: Scene, such as forest, or file of a world (JSON, Gazebo), point-cloud map, mesh or occupancy image.

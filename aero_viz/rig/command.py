@@ -25,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from aero_planner.warp_init import init_warp
     from aero_viz.errors import UserError
 
-    options = _parser().parse_args(arguments)
+    options = make_parser().parse_args(arguments)
     init_warp()
     try:
         return _fly(options)
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ValueError(str(error)) from error
 
 
-def _parser() -> argparse.ArgumentParser:
+def make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="aero-planner rig",
         description="Fly the node in real time against a simulated PX4 autopilot and Livox Mid-360, over UDP on "

@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ValueError(
                 f"there is no command {words[0]!r}{did_you_mean(words[0], commands)}; commands: {', '.join(commands)}."
             )
-        parser = _parser(sorted(added))
+        parser = make_parser(sorted(added))
         options = parser.parse_args(words)
         if options.command is None:
             parser.print_help()
@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
+def make_parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     epilog = f"Commands of other packages: {', '.join(added_commands)}." if added_commands else None
     parser = argparse.ArgumentParser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
     parser.add_argument("--version", action="version", version=f"aero-planner {installed_version('aero-planner')}")

@@ -1,4 +1,4 @@
-"""The steps of docs/first_steps.md, on the page alone."""
+"""The first steps of docs/page.md, on the page alone."""
 
 from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
