@@ -262,10 +262,11 @@ def test_static_obstacles_decide_first_what_is_flown_instead(
 @pytest.mark.parametrize(
     ("braking", "widest", "is_flown"),
     [
-        (0.20, 0.25, True),
-        (0.26, 0.25, False),  # braking keeps a larger clearance
-        (0.30, 0.25, False),  # braking is clear
-        (0.05, 0.13, False),  # contact is certain, and braking makes it slow
+        ((0.20, 0.20), 0.25, True),
+        ((0.26, 0.26), 0.25, False),  # braking keeps a larger clearance
+        ((0.30, 0.30), 0.25, False),  # braking is clear
+        ((0.20, 0.30), 0.25, False),  # it is clear of static obstacles
+        ((0.05, 0.05), 0.13, False),  # contact is certain, and braking makes it slow
     ],
 )
 @pytest.mark.parametrize(
@@ -278,13 +279,18 @@ def test_static_obstacles_decide_first_what_is_flown_instead(
     ],
 )
 def test_where_no_braking_is_clear_the_instance_with_the_widest_stop_is_flown(
-    device: str, braking: float, widest: float, is_flown: bool, changes: dict[str, bool], status: PlanStatus
+    device: str,
+    braking: tuple[float, float],
+    widest: float,
+    is_flown: bool,
+    changes: dict[str, bool],
+    status: PlanStatus,
 ):
     """Only with proven stops, a cloud that is not too old, and `prefer_safe`."""
     planner = Planner(config_of().replace(changes), device=device)
     stops = np.full((3, int(STOPS)), 0.01)
     stops[1, 0], stops[2, 4] = min(0.12, widest), widest
-    flown = choose_fallback(planner, [(braking, braking)] * 3, stops, status=status)
+    flown = choose_fallback(planner, [braking] * 3, stops, status=status)
     is_flown &= not changes and status == PlanStatus.NO_SAFE_CANDIDATE
     assert flown == 2 if is_flown else flown >= len(stops)
 
