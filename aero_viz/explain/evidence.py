@@ -53,10 +53,6 @@ class Evidence:
         """Time of each step in the plan [s], shape [N]."""
         return self.frame.config.sampling.dt * np.arange(1, self.plan.controls.shape[1] + 1)
 
-    def best_sample(self, instance: int) -> int:
-        """Return the sample of an instance with the lowest S1."""
-        return int(self.plan.stage1_cost[instance].argmin())
-
     def effective_samples(self, instance: int) -> float:
         """Return the effective number of samples of an instance, 1 / sum(w^2)."""
         return float(1.0 / (self.weights[instance] ** 2).sum())

@@ -18,7 +18,7 @@ def test_the_planner_is_faster_than_the_reference(device: str):
 def test_report_names_stages_and_ratios(capsys: pytest.CaptureFixture[str]):
     assert main([*SHORT, "--bound", "0"]) in (0, 1)
     rows = {line.split()[0]: line.split()[1:] for line in capsys.readouterr().out.splitlines()[2:]}
-    for name in ("partition", "plan"):
+    for name in ("partition", "plan", "default"):
         reference, planner, ratio = (float(value) for value in rows[name])
         assert ratio == pytest.approx(reference / planner, rel=0.05)
 

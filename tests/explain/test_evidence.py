@@ -31,14 +31,14 @@ def check_costs(evidence):
     assert evidence.is_exact
     names = [term.name for term in second.terms]
     assert second.values.shape == (len(plan.kinds), len(names), plan.controls.shape[1])
-    np.testing.assert_allclose(second.values.sum(axis=(1, 2)), plan.stage2_cost, rtol=1e-5, atol=1e-2)
+    np.testing.assert_allclose(second.values.sum(axis=(1, 2)), plan.stage2_cost, rtol=1e-5)
     goal = [term.sum == "J_goal" for term in second.terms]
     np.testing.assert_allclose(second.values[:, goal].sum(axis=(1, 2)), plan.goal_cost, rtol=1e-5)
-    np.testing.assert_allclose(second.values_of("obstacles").sum(axis=1), plan.collision_cost, rtol=1e-5, atol=1e-2)
-    np.testing.assert_allclose(first.values.sum(axis=(1, 2)), plan.stage1_cost.min(axis=1), rtol=1e-5, atol=1e-2)
+    np.testing.assert_allclose(second.values_of("obstacles").sum(axis=1), plan.collision_cost, rtol=1e-5)
+    np.testing.assert_allclose(first.values.sum(axis=(1, 2)), plan.stage1_cost.min(axis=1), rtol=1e-5)
     assert len(first.terms) > len(names)
     for m, costs in enumerate(plan.stage1_cost):
-        assert evidence.best_sample(m) == costs.argmin() == evidence.weights[m].argmax()
+        assert evidence.weights[m].argmax() == costs.argmin()
         assert 1.0 <= evidence.effective_samples(m) <= len(costs)
     np.testing.assert_allclose(evidence.weights.sum(axis=1), 1.0)
 
@@ -109,8 +109,18 @@ def test_a_sentence_names_term_time_and_obstacle():
     assert any(re.fullmatch(named, sentence) for sentence in sentences), sentences
 
 
-def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_and_not_for_the_ground(replan):
-    changes = {"stop_proof.prove_stop": False, "candidates.speed_margin": 0.2, "sampling.samples": 64}
+@pytest.mark.parametrize(
+    ("prove_stop", "distance_max", "is_unsafe"),
+    [
+        (False, 0.31, True),
+        (False, 0.55, False),  # clearances are measured farther than the speed asks for
+        (True, 0.31, False),  # the stops are judged
+    ],
+)
+def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_and_not_for_the_ground(
+    replan, prove_stop: bool, distance_max: float, is_unsafe: bool
+):
+    changes = {"stop_proof.prove_stop": prove_stop, "costs.distance_max": distance_max, "sampling.samples": 64}
     session = Session(open_source("forest", seed=3), config=PlannerConfig().replace(changes))
     for _ in range(60):
         session.tick()
@@ -118,8 +128,8 @@ def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_a
     evidence = replan(session.tick())
     session.close()
     sentences = [verdict(evidence, int(m)) for m in np.flatnonzero(~evidence.is_safe)]
-    speed = r"at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough"
-    assert any(re.search(rf"is unsafe: {speed}\.", sentence) for sentence in sentences), sentences
+    speed = r"is unsafe: at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough\."
+    assert any(re.search(speed, sentence) for sentence in sentences) == is_unsafe, sentences
     assert not any("the ground" in sentence for sentence in sentences), sentences
 
 

@@ -26,9 +26,14 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flight") / "flight.mcap"
     options = SensorLogOptions(every=3, imu=True, plan_period=None, hover=0.5, duration=2.0)
     rules = FlightRules(period=0.005, ticks_per_plan=4)
-    # Errors differ from flight to flight: at this speed the limits below are valid.
-    config = PlannerConfig.preset("px4").replace({"way_out.patience": 0.3})
-    write_sensor_log(scene("forest", seed=3), path, seed=3, speed=2.5, config=config, rules=rules, options=options)
+    # Errors differ from flight to flight: with these weights the limits below are valid, whatever the presets become.
+    weights = {
+        "sampling.dt": 0.05, "sampling.temperature": 0.1, "sampling.variance_thrust": 1.0,
+        "sampling.variance_rate_xy": 1.0, "costs.q_position": 3.0, "costs.q_track": 5.0, "costs.q_control": 0.5,
+        "costs.q_speed": 10.0, "costs.soft_weight": 100.0, "way_out.patience": 0.3,
+    }  # fmt: skip
+    config = PlannerConfig.preset("px4").replace(weights)
+    write_sensor_log(scene("forest", seed=6), path, seed=6, speed=3.0, config=config, rules=rules, options=options)
     return path
 
 

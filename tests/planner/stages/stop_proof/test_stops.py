@@ -3,6 +3,7 @@
 # Postponed annotations are left out: the kernel below refers to local types.
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from aero_planner.device.params import Params
 from aero_planner.device.records import Scores, bundle
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.selection import fallback
-from aero_planner.stages.stop_proof.stops import STOPS, StopProof
+from aero_planner.stages.stop_proof.stops import STOPS, StopProof, stop_to_keep
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, level_case, random_case, shell
 from tests.planner.pillars import GOAL, sweeps_of
@@ -196,12 +197,44 @@ def fallback_kernel(composition: Composition) -> Any:
 
     @wp.kernel(module="unique", enable_backward=False)
     def fallback_kernel(
-        status: int, demanded: float, scores: AllScores, views: Views, params: wp.array(dtype=Params),
+        status: int, instances: int, demanded: float, scores: AllScores, views: Views, params: wp.array(dtype=Params),
         out: wp.array(dtype=int),
     ):  # fmt: skip
-        out[0] = choose(0, 1, status, demanded, scores, views, params[0])
+        out[0] = choose(0, instances, status, demanded, scores, views, params[0])
 
     return fallback_kernel
+
+
+def choose_fallback(
+    planner: Planner,
+    braking: Sequence[tuple[float, float]],
+    stops: Array,
+    *,
+    status: PlanStatus = PlanStatus.NO_SAFE_CANDIDATE,
+) -> int:
+    """Return the row that is flown if no instance is admissible.
+
+    `braking` are the clearances of two braking candidates and the proven stop, from all and from static obstacles;
+    `stops` those of the stops of each instance, [M, STOPS].
+    """
+    device, instances, (*fan, proven) = planner.device, len(stops), braking
+    rows = np.array([[*[(-1.0, -1.0)] * instances, *fan, *[(-2.0, -2.0)] * (int(BRAKING_FAN) - 2), proven]])
+    least = wp.array(rows, dtype=wp.vec2, device=device)
+    start = wp.full((1, rows.shape[1], 1), 1.0, dtype=float, device=device)  # clearance at the start
+    composition = Composition.of(planner.config)
+    views = composition.Views()
+    views.stop_proof = bundle(
+        StopProof,
+        stop_clearance=wp.array(stops.reshape(1, -1), dtype=float, device=device),
+        stop_ready=wp.ones(1, dtype=int, device=device),
+        least_clearance=least,
+        static_clearance=start,
+    )
+    out = wp.zeros(1, dtype=int, device=device)
+    scores = bundle(Scores, least_clearance=least, static_clearance=start)
+    inputs = [int(status), instances, 0.3, scores, views, planner.params, out]
+    wp.launch(fallback_kernel(composition), 1, inputs=inputs, device=device)
+    return int(out.numpy()[0])
 
 
 @pytest.mark.parametrize(
@@ -219,29 +252,120 @@ def fallback_kernel(composition: Composition) -> Any:
 def test_static_obstacles_decide_first_what_is_flown_instead(
     device: str, braking: list[tuple[float, float]], flown: int, status: PlanStatus
 ):
-    """`braking` are the clearances of two braking candidates and the proven stop, from all and from static obstacles.
-
-    With a cloud that is too old, the proven stop is not flown.
-    """
-    planner = Planner(config_of(), device=device)
-    composition = Composition.of(planner.config)
-    *fan, proven = braking
-    rows = np.array([[(-1.0, -1.0), *fan, *[(-2.0, -2.0)] * (int(BRAKING_FAN) - 2), proven]])
-    least = wp.array(rows, dtype=wp.vec2, device=device)
-    start = wp.full((1, rows.shape[1], 1), 1.0, dtype=float, device=device)  # clearance at the start
-    ready = wp.ones(1, dtype=int, device=device)
-    views = composition.Views()
-    views.stop_proof = bundle(StopProof, stop_ready=ready, least_clearance=least, static_clearance=start)
-    out = wp.zeros(1, dtype=int, device=device)
-    inputs = [
-        int(status),
-        0.3,
-        bundle(Scores, least_clearance=least, static_clearance=start),
-        views,
-        planner.params,
-        out,
-    ]
-    wp.launch(fallback_kernel(composition), 1, inputs=inputs, device=device)
+    """With a cloud that is too old, the proven stop is not flown."""
+    stops = np.full((1, int(STOPS)), -1.0)
     if flown == 6 and status == PlanStatus.STALE_CLOUD:
-        flown = 2 if fan[1] > fan[0] else 1
-    assert out.numpy()[0] == flown
+        flown = 2 if braking[1][0] > braking[0][0] else 1
+    assert choose_fallback(Planner(config_of(), device=device), braking, stops, status=status) == flown
+
+
+@pytest.mark.parametrize(
+    ("braking", "widest", "is_flown"),
+    [
+        ((0.20, 0.20), 0.25, True),
+        ((0.26, 0.26), 0.25, False),  # braking keeps a larger clearance
+        ((0.30, 0.30), 0.25, False),  # braking is clear
+        ((0.20, 0.30), 0.25, False),  # it is clear of static obstacles
+        ((0.05, 0.05), 0.13, False),  # contact is certain, and braking makes it slow
+    ],
+)
+@pytest.mark.parametrize(
+    ("changes", "status"),
+    [
+        ({}, PlanStatus.NO_SAFE_CANDIDATE),
+        ({}, PlanStatus.STALE_CLOUD),
+        ({"candidates.prefer_safe": False}, PlanStatus.NO_SAFE_CANDIDATE),
+        ({"stop_proof.prove_stop": False}, PlanStatus.NO_SAFE_CANDIDATE),
+    ],
+)
+def test_where_no_braking_is_clear_the_instance_with_the_widest_stop_is_flown(
+    device: str,
+    braking: tuple[float, float],
+    widest: float,
+    is_flown: bool,
+    changes: dict[str, bool],
+    status: PlanStatus,
+):
+    """Only with proven stops, a cloud that is not too old, and `prefer_safe`."""
+    planner = Planner(config_of().replace(changes), device=device)
+    stops = np.full((3, int(STOPS)), 0.01)
+    stops[1, 0], stops[2, 4] = min(0.12, widest), widest
+    flown = choose_fallback(planner, [braking] * 3, stops, status=status)
+    is_flown &= not changes and status == PlanStatus.NO_SAFE_CANDIDATE
+    assert flown == 2 if is_flown else flown >= len(stops)
+
+
+def test_in_a_plan_the_widest_stop_of_all_is_flown_where_no_braking_is_clear(device: str):
+    """Stops are only evaluated as far as they may be the widest. Without `prefer_safe`, the drone brakes."""
+    config = config_of()
+    planner, flown = Planner(config, device=device), 0
+    for seed in range(18):
+        planner.reset()
+        case = random_case(seed, nearest=0.8 + 0.02 * (seed % 20), tilt=0.3, speed=6.0)
+        plan = case.plan(planner)
+        if plan.status == PlanStatus.OK or plan.kinds[plan.best] == "brake":
+            continue
+        flown += 1
+        assert plan.status == PlanStatus.NO_SAFE_CANDIDATE and plan.braking is not None
+        expected, is_sure = stop_clearances(case, planner, plan)
+        found = planner.arrays_of("stop_proof")["stop_clearance"].numpy()[0]
+        widest = int(np.argmax(found))
+        assert plan.best == widest // int(STOPS) and is_sure[widest]
+        assert found[widest] == pytest.approx(expected[widest], abs=1e-4)
+        assert found[widest] < config.stop_proof.stop_clearance
+        assert (found[is_sure] >= expected[is_sure] - 1e-4).all()
+        braking = planner.workspace.least_clearance.numpy()[0, len(config.kinds) : -1]
+        assert braking[:, 0].max() < found[widest] and braking[:, 1].max() < config.stop_proof.stop_clearance
+        planner.reset()
+        planner.configure(config.replace({"candidates.prefer_safe": False}))
+        braked = case.plan(planner)
+        planner.configure(config)
+        assert braked.status != PlanStatus.OK and braked.kinds[braked.best] == "brake"
+    assert flown > 2
+
+
+@wp.kernel
+def kept_kernel(m: int, demanded: float, stop_clearance: wp.array2d(dtype=float), out: wp.array(dtype=int)):
+    out[0] = stop_to_keep(0, m, demanded, stop_clearance)
+
+
+@pytest.mark.parametrize(
+    ("stops", "kept"),
+    [
+        ((0.1, 0.3, 0.5, 0.2, 0.4, 0.5), 1),  # the first one that is clear, not the widest
+        ((0.3, 0.5, 0.5, 0.5, 0.5, 0.5), 0),
+        ((0.2, 0.1, 0.0, 0.1, 0.2, 0.3), 5),
+        ((0.1, 0.2, 0.29, 0.1, 0.28, 0.0), 2),  # the widest where none is clear
+        ((0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0),
+    ],
+)
+def test_the_first_clear_stop_is_kept(device: str, stops: tuple[float, ...], kept: int):
+    others = np.full((1, int(STOPS)), 0.6)
+    rows = np.concatenate((others, np.array([stops]), others), axis=1)
+    clearance, out = wp.array(rows, dtype=float, device=device), wp.zeros(1, dtype=int, device=device)
+    wp.launch(kept_kernel, 1, inputs=[1, 0.3, clearance, out], device=device)
+    assert out.numpy()[0] == int(STOPS) + kept
+
+
+@pytest.mark.parametrize("prefer_safe", [True, False])
+def test_the_stop_that_is_kept_is_the_first_clear_one_of_the_selected_instance(device: str, prefer_safe: bool):
+    """The selected instance is the best of those with a clear stop, or of all of them without `prefer_safe`."""
+    config = config_of(candidates__prefer_safe=prefer_safe, anchors__columns=3, anchors__rows=2)
+    planner, later = Planner(config, device=device), 0
+    least = min(config.stop_proof.stop_clearance, config.candidates.safe_clearance)
+    for seed in range(40):
+        planner.reset()
+        plan = random_case(seed, nearest=0.6 + 0.05 * (seed % 20), tilt=0.3).plan(planner)
+        if plan.status != PlanStatus.OK:
+            continue
+        arrays, m = planner.arrays_of("stop_proof"), int(plan.best)
+        found = arrays["stop_clearance"].numpy()[0].reshape(-1, int(STOPS))
+        has_stop = (found >= least).any(axis=1) if prefer_safe else np.ones(len(found), bool)
+        assert m == np.argmin(np.where(has_stop, plan.stage2_cost, np.inf))
+        first, switches = int(np.argmax(found[m] >= least)), switch_steps(config)
+        assert found[m, first] >= least
+        stop, switch = arrays["stop_controls"].numpy()[0, m * int(STOPS) + first], switches[first]
+        kept = arrays["proven_stop"].numpy()[0]
+        np.testing.assert_array_equal(kept[: switch + len(stop)], np.concatenate((plan.controls[m, :switch], stop)))
+        later += first > 0
+    assert later > 2
