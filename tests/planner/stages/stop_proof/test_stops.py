@@ -245,3 +245,17 @@ def test_static_obstacles_decide_first_what_is_flown_instead(
     if flown == 6 and status == PlanStatus.STALE_CLOUD:
         flown = 2 if fan[1] > fan[0] else 1
     assert out.numpy()[0] == flown
+
+
+def test_where_no_stop_is_clear_the_instance_with_the_widest_one_may_be_flown(device: str):
+    """Without a safe candidate the drone brakes, or flies an instance whose stop is wider than every other one."""
+    planner, kinds = Planner(config_of(), device=device), set()
+    for seed in range(8):
+        planner.reset()
+        plan = random_case(seed, nearest=0.35).plan(planner)
+        if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
+            kinds.add(plan.kinds[plan.best])
+            widest = planner.arrays_of("stop_proof")["stop_clearance"].numpy()[0].reshape(-1, int(STOPS)).max(axis=1)
+            assert widest.max() < planner.config.stop_proof.stop_clearance
+            assert plan.kinds[plan.best] == "brake" or plan.best == widest.argmax()
+    assert kinds == {"brake", "anchor"}
