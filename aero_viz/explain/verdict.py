@@ -59,6 +59,8 @@ def verdict(evidence: Evidence, instance: int) -> str:
         prefers_safe = evidence.frame.config.candidates.prefer_safe
         cause = "No candidate is safe" if prefers_safe else "The cheapest candidate is not safe"
         flown = f"{cause}: the drone stops; the stop has replaced instance {best}."
+        if plan.kinds[best] != "brake":
+            flown = f"{cause}, and no stop is clear: the drone flies instance {best}, whose stop is the widest."
         return flown if instance == best else f"{flown} {_unsafe(evidence, instance)}"
     if instance == best:
         return _won(evidence)

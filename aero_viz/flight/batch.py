@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from aero_planner import Planner, PlannerConfig
+from aero_planner.exclusive import Use, exclusive
 from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.stages.memory.parameters import memory_duration
 from aero_viz.flight.flight_end import FlightRecord
@@ -64,7 +65,7 @@ class FlightBatch:
     """B flights in lock step. Every tick plans, flies and scans; all data stay on the device.
 
     A flight takes about 21 MB of device memory with the default configuration and LiDAR. One that is over takes little
-    time.
+    time. One thread at a time may use a batch.
 
     Args:
         worlds: one per flight; repeat a World object to fly it several times.
@@ -115,6 +116,7 @@ class FlightBatch:
         for noun, values in per_flight.items():
             if len(values) != len(worlds):
                 raise ValueError(f"{len(values)} {noun} were given for {len(worlds)} flights; give one for each.")
+        self._use = Use("batch of flights")
         self._worlds = list(worlds)
         self._plan_ms: list[float] = []
         self._pending: list[tuple[wp.Event, wp.Event]] = []
@@ -152,6 +154,7 @@ class FlightBatch:
             self.simulator.measure_sweep(sweep)
             self._store(sweep)
 
+    @exclusive
     def step(self) -> None:
         """Fly one tick, and plan before it if a new plan is due. Finished flights do not change."""
         part = self.simulator.tick % int(self.simulator.rules.ticks_per_plan)
@@ -164,6 +167,7 @@ class FlightBatch:
             with self.simulator.timed("sweeps"):
                 self._store(sweep)
 
+    @exclusive
     def set_worlds(self, worlds: Sequence[World]) -> None:
         """Fly on among the obstacles of other worlds, one per flight, with the same goals, bounds and ground.
 
@@ -180,10 +184,12 @@ class FlightBatch:
         lidar = self.simulator.lidar
         self._observe()
         self.planner.store_sweep(sweep % self._rows, lidar.points, time=lidar.model.sweep_end(sweep))
-        if lidar.model.sweep_loss > 0.0:
-            self._lost_sweeps = np.where(lidar.loses(sweep), self._lost_sweeps + 1, 0)
+        if lidar.model.sweep_loss > 0.0 or lidar.model.is_blind:
+            is_lost = lidar.loses(sweep) | lidar.model.is_blind
+            self._lost_sweeps = np.where(is_lost, self._lost_sweeps + 1, 0)
             self.planner.inputs.cloud_age.assign((self._lost_sweeps / lidar.model.sweep_rate).astype(np.float32))
 
+    @exclusive
     def time_stages(self, ticks: int) -> dict[str, float]:
         """Fly some ticks and return the mean time of each stage of a tick [ms].
 
@@ -199,6 +205,7 @@ class FlightBatch:
             stages[f"planner.{name}"] = statistics.median(times)
         return stages
 
+    @exclusive
     def run(self, *, progress: BatchProgress | None = None) -> list[FlightResult]:
         """Fly until all flights are over, or until Ctrl-C; unfinished flights then have the reason None.
 
@@ -221,6 +228,7 @@ class FlightBatch:
             self.interrupted = is_interrupted()
         return self.results()
 
+    @exclusive
     def results(self) -> list[FlightResult]:
         """Return the result of each flight so far."""
         self._collect_times()

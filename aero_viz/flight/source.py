@@ -137,6 +137,7 @@ class FlightSource:
                 goal=Goal(self._goal),
                 sweeps=sweeps,
                 cloud_age=self._cloud_age,
+                empty_is_clear=True,
                 ground_height=self._setting.world.ground_height,
                 true_state=self._true_state,
                 sweep_times=times,
@@ -374,7 +375,10 @@ class FlightSource:
         return self._clouds[count]
 
     def _is_lost(self, sweep: Sweep) -> bool:
-        return all(is_sweep_lost(self._seed, scan.sweep, scan.setting.lidar.sweep_loss) for scan in sweep.scans)
+        return all(
+            scan.setting.lidar.is_blind or is_sweep_lost(self._seed, scan.sweep, scan.setting.lidar.sweep_loss)
+            for scan in sweep.scans
+        )
 
 
 def _settings(simulator: Simulator) -> FlightSettings:

@@ -80,7 +80,7 @@ def find_text_layout(path: Path) -> TextLayout | None:
         elif _is_row(words, header):
             first = number
             break
-        elif any(map(_axis, words)) or (number == 0 and len(words) >= 3):
+        elif len(words) >= 3 and (number == 0 or any(map(_axis, words))):
             header = line
         else:
             return None
@@ -91,10 +91,14 @@ def find_text_layout(path: Path) -> TextLayout | None:
     has_decimal_commas = separator != "," and any("," in word for word in _split(rows[0], separator))
     width = len(_split(rows[0], separator))
     names = tuple(word.strip().strip("\"'") for word in _split(header, _separator(header)))
-    names = names if len(names) == width and header else ()
     columns, unit = (0, 1, 2), 1.0
-    if names and not all(map(_is_number, names)):
+    if len(names) == width and not all(map(_is_number, names)):
         columns, unit = _coordinates(names)
+    elif sum(map(bool, map(_axis, names))) >= 3:
+        columns, unit = _coordinates(names)
+        if columns != (0, 1, 2):
+            raise ValueError(f"its header names {len(names)} columns, and its rows have {width}")
+    names = names if len(names) == width and header else ()
     if any(len(_split(row, separator)) != width for row in rows[:-1]):
         return None
     return TextLayout(first, separator, has_decimal_commas, columns, names, unit, declared)

@@ -234,17 +234,22 @@ class World:
 
     @property
     def ground(self) -> NDArray[np.bool_]:
-        """Mask of the boxes that are ground, [n]: those that lie under both start and goal."""
-        above = np.ones(len(self.boxes), dtype=bool)
-        for point in (self.start, self.goal):
+        """Mask of the boxes that are ground, [n]: those that lie under both start and goal.
+
+        If there are none, a box under the start whose top reaches over the goal is: the goal then lies below ground.
+        """
+        under_start, covers_goal, under_goal = np.ones((3, len(self.boxes)), dtype=bool)
+        for point, covers, under in ((self.start, under_start, under_start), (self.goal, covers_goal, under_goal)):
             local = rotate_z(point - self.boxes[:, :3], -self.boxes[:, 6])
             half = 0.5 * self.boxes[:, 3:6]
-            above &= np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1) & (local[:, 2] >= half[:, 2])
-        return above
+            covers &= np.all(np.abs(local[:, :2]) <= half[:, :2], axis=1)
+            under &= local[:, 2] >= half[:, 2]
+        ground = under_start & covers_goal & under_goal
+        return ground if ground.any() else under_start & covers_goal
 
     @property
     def ground_height(self) -> float | None:
-        """Height of the flat ground under start and goal [m]; None in a world without ground."""
+        """Height of the flat ground under start and goal [m], see `ground`; None in a world without ground."""
         boxes = self.boxes[self.ground]
         return float((boxes[:, 2] + 0.5 * boxes[:, 5]).max()) if len(boxes) else None
 

@@ -63,6 +63,11 @@ class LidarModel(ParameterSection, section="lidar"):
             if len(value) != 3 or not all(map(math.isfinite, value)):
                 raise ValueError(f"lidar.{name} is {value!r}; it must be three finite numbers.")
 
+    @property
+    def is_blind(self) -> bool:
+        """True if it loses practically every return; rays into the open return none, and that says something."""
+        return self.points_per_sweep * (1.0 - self.dropout) < 1.0
+
     def point_times(self) -> NDArray[Any]:
         """Return the time of each point since the start of its sweep [s], [points_per_sweep]."""
         return (np.arange(self.points_per_sweep) + 0.5) / (self.points_per_sweep * self.sweep_rate)

@@ -33,6 +33,8 @@ class Observation:
     """Last sweeps of the LiDAR, world frame [m]; rows with NaN or infinity are ignored."""
     cloud_age: float = 0.0
     """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
+    empty_is_clear: bool = False
+    """True if a sweep without points means that nothing is in range of the LiDAR, see `Planner.plan`."""
     ground_height: float | None = None
     """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
     true_state: VehicleState | None = None
@@ -66,6 +68,7 @@ class Observation:
             self.goal,
             self.sweeps,
             cloud_age=self.cloud_age,
+            empty_is_clear=self.empty_is_clear,
             ground_height=self.ground_height,
             samples=samples,
         )

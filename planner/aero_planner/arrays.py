@@ -49,6 +49,7 @@ class PlannerInputs:
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal; NaN: zero.")
     goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, w x y z; NaN: level, with the nose toward the goal.")
     cloud_age: wp.array = array(wp.float32, "B", "s", "Time since the cloud was measured.")
+    is_blind: wp.array = array(wp.int32, "B", "", "1 where the newest sweep shows nothing, and should; else 0.")
     ground_height: wp.array = array(wp.float32, "B", "m", "Height of flat ground; -inf where it is unknown.")
     point_count: wp.array = array(wp.int32, "B", "", "Number of points of the cloud.")
 
@@ -167,6 +168,7 @@ class Workspace:
     previous_time: wp.array = array(
         wp.float64, "B", "s", "Stamp of that plan; NaN where there is none.", kept="plans", initial=math.nan
     )
+    blind_time: wp.array = array(wp.float32, "B", "s", "For how long sweeps have shown nothing.", kept="plans")
 
     @property
     def cell_counts(self) -> wp.array:

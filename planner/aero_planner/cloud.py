@@ -91,11 +91,13 @@ class Cloud:
         self._written = points if is_constant(points) else None
 
     def split(self, points: Points) -> list[Any]:
-        """Return the cloud of each drone.
+        """Return the cloud of each drone; of the array itself, that on the device.
 
         Raises:
             ValueError: the number of clouds differs from the batch, or a cloud has the wrong shape or type.
         """
+        if points is self.array:
+            return [self.array[b] for b in range(self._batch)]
         if isinstance(points, wp.array):
             if points.dtype is not wp.vec3:
                 raise ValueError(f"points has dtype {points.dtype}; a Warp array must have dtype wp.vec3.")

@@ -59,9 +59,11 @@ class PlanStatus(enum.IntEnum):
     """The best candidate is admissible: it keeps its clearance over the whole horizon or, with a stop proof, as far as
     the first of its stops that is clear."""
     NO_SAFE_CANDIDATE = 1
-    """No candidate is admissible; `controls[best]` is a braking sequence, or the stop that was proven last."""
+    """No candidate is admissible. `controls[best]` is a braking sequence or the stop that was proven last, and its kind
+    is "brake"; where neither is clear, it may be the instance whose stop keeps the largest clearance."""
     STALE_CLOUD = 2
-    """The cloud is older than partition.cloud_age_max; `controls[best]` is a braking sequence."""
+    """The cloud is older than partition.cloud_age_max, or has shown nothing for as long; `controls[best]` is a braking
+    sequence."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,9 @@ from aero_planner.plan import Goal, VehicleState
 
 _FARTHEST = 1e6
 """Largest coordinate, beyond which float32 no longer resolves a decimetre [m]."""
+_EXAMPLES: dict[type, str] = {
+    VehicleState: "VehicleState((0, 0, 2), (0, 0, 0), (1, 0, 0, 0))", Goal: "Goal((20, 0, 2))",
+}  # fmt: skip
 _LARGEST = float(np.finfo(np.float64).max)
 
 
@@ -24,8 +27,11 @@ def check_inputs(
         batch: leading axes of the values: (B,), or () for a single drone.
 
     Raises:
-        ValueError: an input has the wrong shape, is not finite, or is too large for float32.
+        ValueError: an input has the wrong type or shape, is not finite, or is too large for float32.
     """
+    for name, given, kind in (("state", state, VehicleState), ("goal", goal, Goal)):
+        if not isinstance(given, kind):
+            raise ValueError(f"{name} is {given!r}; it must be a {kind.__name__}, such as {_EXAMPLES[kind]}.")
     values = {
         "position": _check("state.position", state.position, (*batch, 3)),
         "velocity": _check("state.velocity", state.velocity, (*batch, 3)),
@@ -39,6 +45,8 @@ def check_inputs(
         "cloud_age": _check("cloud_age", cloud_age, (), limit=_LARGEST),
         "ground_height": _check_ground_height(ground_height, batch),
     }
+    if values["cloud_age"] < 0.0:
+        raise ValueError(f"cloud_age is {cloud_age}; it is the time since the cloud was measured [s], at least 0.")
     for name, field in (("quaternion", "state.quaternion"), ("goal_quaternion", "goal.quaternion")):
         q = values[name]
         if np.vdot(q, q) < 1e-12 if q.ndim == 1 else ((q * q).sum(axis=-1) < 1e-12).any():

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.array_memory import PackedArrays, allocate, as_dict, forget
 from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
@@ -21,6 +21,7 @@ from aero_planner.config import PlannerConfig
 from aero_planner.cost_terms import CostTerms, evaluate_terms
 from aero_planner.device.kernel_tuning import CPU, CUDA
 from aero_planner.device.params import Params, pack
+from aero_planner.exclusive import Use, exclusive
 from aero_planner.history import History, kept_arrays
 from aero_planner.kernels.mppi import fill_noise
 from aero_planner.kernels.partition import fill_directions
@@ -33,15 +34,17 @@ from aero_planner.recorder import PlannerArrays, Recorder, stage_groups
 from aero_planner.safety import Safety, judge_instances
 from aero_planner.seeds import Seeds, seeds_of_batch
 from aero_planner.sweep_memory import SweepMemory
-from aero_planner.sweeps import Sweeps
+from aero_planner.sweeps import Sweeps, shows_something
 from aero_planner.warp_init import find_device
 
+_LOOKED_AT = 64
+"""Number of points of a cloud on the device that are looked at first."""
 _MIN_SWEEPS = 16
 """Sweeps for which there is room at least."""
 
 
 class Planner:
-    """The AERO-MPPI planner on one device.
+    """The AERO-MPPI planner on one device. One thread at a time may use it: another one gets a RuntimeError.
 
     Args:
         config: parameters; `configure` changes them later. None means the default.
@@ -75,6 +78,7 @@ class Planner:
             _check_configs([config])
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
+        self._use = Use("planner")
         self._device = find_device(device)
         self._tuning = CPU if self._device.is_cpu else CUDA
         self._batched = batch is not None
@@ -217,6 +221,7 @@ class Planner:
         """Device array of the controls to fly, shape [B, N], vec4 of F_t [N] and omega [rad/s]."""
         return self._work.previous_controls
 
+    @exclusive
     def configure(self, config: PlannerConfig | Sequence[PlannerConfig]) -> None:
         """Use another configuration from the next plan on.
 
@@ -255,6 +260,7 @@ class Planner:
         if any(getattr(configs[0], name) != getattr(before, name) for name in sections):
             self._forget_sweeps()  # they may show something else by other parameters
 
+    @exclusive
     def reserve(self, count: int) -> None:
         """Make room for `count` points per drone. The cloud is then all NaN, which means no points."""
         self._cloud.reserve(count)
@@ -262,6 +268,7 @@ class Planner:
         self._inputs.upload()
         self._scan(self._cloud.arrays)
 
+    @exclusive
     def reserve_sweeps(
         self, sweeps: int, points: int, *, whole: int | None = None, remembered: Sequence[int] | None = None
     ) -> None:
@@ -275,6 +282,7 @@ class Planner:
         )
         self._scan(self._memory.arrays)
 
+    @exclusive
     def store_sweep(self, index: int, points: wp.array, *, time: float | None = None) -> None:
         """Replace a sweep of each drone by points on the device; nothing is copied to or from the host.
 
@@ -292,6 +300,7 @@ class Planner:
             raise ValueError("there is no room for sweeps; call `reserve_sweeps` first.")
         self._memory.store(index, points, self._arrive, time=time)
 
+    @exclusive
     def reset(self, *, seed: int | None = None) -> None:
         """Discard the previous plan and restart the noise sequence, with another `seed` if one is given."""
         if seed is not None:
@@ -300,15 +309,18 @@ class Planner:
         for group in (self._work, *stage_groups(self._stages)):
             forget(group, "plans")
 
+    @exclusive
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
         return History.of((self._work, *stage_groups(self._stages)))
 
+    @exclusive
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
         if not history.write_to((self._work, *stage_groups(self._stages))):
             self.reset()
 
+    @exclusive
     def launch(self, *, active: wp.array | None = None) -> None:
         """Plan from the device arrays of `inputs` and `points` into those of `outputs` and `command`.
 
@@ -329,6 +341,7 @@ class Planner:
         """Run the launches of a sweep that arrives."""
         self._pipeline.run(ARRIVAL)
 
+    @exclusive
     def plan(
         self,
         state: VehicleState,
@@ -336,6 +349,7 @@ class Planner:
         points: Points | Sweeps,
         *,
         cloud_age: float = 0.0,
+        empty_is_clear: bool = False,
         ground_height: ArrayLike | None = None,
         samples: bool = False,
     ) -> Plan:
@@ -348,6 +362,9 @@ class Planner:
                 Points that are not finite are dropped and counted. `Planner.points` plans from the cloud on the device.
                 `Sweeps` are fastest for one drone: only those that have arrived since the last plan are copied.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
+            empty_is_clear: True if a cloud without finite points means that nothing is in range of the sensor.
+                Otherwise the drone brakes, too, if clouds or newest sweeps have been without for as long. It also
+                brakes if most points are farther than `sweeps.FARTHEST_RETURN`, as in millimetres.
             ground_height: height of flat ground [m], world frame, which counts as an obstacle unless costs.use_ground
                 is off: a number, or an array of shape [B] for a batch, -inf where it is unknown. None means unknown.
             samples: return the Stage I rollouts as well.
@@ -356,7 +373,8 @@ class Planner:
             A plan. Same seed, device, inputs and history: same plan, bit for bit.
 
         Raises:
-            ValueError: an input has the wrong shape or is not finite; nothing was launched.
+            ValueError: an input has the wrong type or shape or is not finite; nothing was launched.
+            RuntimeError: another thread is using the planner, or it is closed.
         """
         started = time.perf_counter()
         checked = check_inputs(state, goal, cloud_age, ground_height, (self._batch,) if self._batched else ())
@@ -364,11 +382,14 @@ class Planner:
         for name, value in checked.items():
             host[name][:] = value
         stages = PLAN
+        newest = [points.newest] if isinstance(points, Sweeps) else self._cloud.split(points)
+        positions = np.reshape(checked["position"], (-1, 3))
+        host["is_blind"][:] = [not _shows(*seen, empty_is_clear) for seen in zip(newest, positions, strict=True)]
         if isinstance(points, Sweeps):
             self._inputs.upload()
             stages = self._write_sweeps(points)
         else:
-            self._write_points(points)
+            self._write_points(points, newest)
             self._inputs.upload()
         uploaded = time.perf_counter()
         self._pipeline.run(stages)
@@ -383,9 +404,8 @@ class Planner:
             values, self._config, self._composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
         )
 
-    def _write_points(self, points: Points) -> None:
+    def _write_points(self, points: Points, clouds: list[Any]) -> None:
         if not self._cloud.is_current(points):
-            clouds = self._cloud.split(points)
             counts = [len(cloud) for cloud in clouds]
             if max(counts) > self._cloud.capacity:
                 # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each
@@ -409,6 +429,7 @@ class Planner:
             self._forget_sweeps()
         return PLAN_AND_ARRIVAL if self._memory.take_change() else PLAN
 
+    @exclusive
     def cost_terms(self, instances: Sequence[int] = (), samples: Sequence[tuple[int, int]] = ()) -> CostTerms:
         """Return the costs of rollouts of the last plan term by term: the functions whose sums the planner has used.
 
@@ -436,6 +457,7 @@ class Planner:
         values = np.reshape(controls, shape) if rows else np.zeros(shape)
         return evaluate_terms(self._recorder(), rows, values, self._config.previous_index)
 
+    @exclusive
     def safety(self) -> Safety:
         """Return how the selection has judged the instances of the last plan, by its own functions.
 
@@ -450,6 +472,7 @@ class Planner:
             lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
         )
 
+    @exclusive
     def time_stages(self, repeat: int) -> dict[str, list[float]]:
         """Return the time of each stage in `repeat` plans from the device arrays [ms]; the next plan is unaffected.
 
@@ -460,6 +483,7 @@ class Planner:
         self.restore(history)
         return times
 
+    @exclusive
     def save_graph(self, path: str | os.PathLike[str]) -> Path:
         """Save the launches of a plan for the C++ host; kernels are written to a folder next to the file.
 
@@ -476,8 +500,17 @@ class Planner:
         return Path(path).with_suffix(".wrp")
 
     def close(self) -> None:
-        """Stop the worker threads; the planner can't be used afterwards."""
+        """Stop the worker threads; other calls raise a RuntimeError from now on."""
+        self._use.is_over = True
         self._pipeline.close()
+
+
+def _shows(cloud: Any, position: NDArray[np.float64], empty: bool) -> bool:
+    """Return `shows_something` of a cloud that may be on the device."""
+    if isinstance(cloud, wp.array):
+        few = (cloud[:_LOOKED_AT] if len(cloud) > _LOOKED_AT else cloud).numpy()
+        cloud = few if np.isfinite(few).all(axis=1).any() else cloud.numpy()
+    return shows_something(cloud, position, empty=empty)
 
 
 @functools.lru_cache(maxsize=4)

@@ -80,7 +80,7 @@ class Recorder:
             records.Problem, active=w.active, goal=i.goal_position,
             **{name: getattr(i, name) for name in (
                 "time", "position", "velocity", "quaternion", "acceleration", "disturbance", "goal_velocity",
-                "goal_quaternion", "cloud_age", "ground_height",
+                "goal_quaternion", "cloud_age", "is_blind", "ground_height",
             )},
         )  # fmt: skip
         self.start = bundle(
@@ -114,7 +114,7 @@ class Recorder:
         self.choice = bundle(records.Choice, best=o.best, status=o.status, replaced=o.braking_instance, flown=o.flown)
         self.previous = bundle(
             records.PreviousPlan, tick=w.tick, time=w.previous_time, controls=w.previous_controls,
-            start_control=w.previous_start_control, end=w.previous_end,
+            start_control=w.previous_start_control, end=w.previous_end, blind_time=w.blind_time,
         )  # fmt: skip
         self.sweeps = arrays.cloud.bundle()
         viewed = [stage for stage in composition.stages if stage.view is not None]

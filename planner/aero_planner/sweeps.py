@@ -6,13 +6,17 @@ import functools
 import math
 import weakref
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 THINNING = 5
 """One point in five of an older sweep is kept."""
+FARTHEST_RETURN = 300.0
+"""Distance beyond which the LiDAR of a drone sees nothing [m]."""
+_SAMPLE = 64
+"""Number of points that tell whether a cloud shows something, if one of them is finite."""
 HASH_FACTORS = (2654435761, 2246822519, 3266489917)
 """Odd factors of the bits of x, y and z, whose sum chooses the points that are kept: it depends on the point alone."""
 
@@ -20,6 +24,20 @@ HASH_FACTORS = (2654435761, 2246822519, 3266489917)
 def sweeps_within(memory: float, period: float) -> int:
     """Return how many sweeps of a `period` [s] are newer than `memory` [s] when one is complete."""
     return math.ceil(memory / period - 1e-3)
+
+
+def shows_something(points: NDArray[Any], position: ArrayLike, *, empty: bool = False) -> bool:
+    """Return True if points [n, 3] show the surroundings of a position [3]: at least half of the finite ones are near.
+
+    No surface that a LiDAR sees is beyond `FARTHEST_RETURN`; a cloud in millimetres is, nearly all of it. Without a
+    finite point, the answer is `empty`.
+    """
+    for some in (points[:: len(points) // _SAMPLE + 1], points):
+        offsets = some - np.asarray(position, dtype=np.float64)
+        squares = np.einsum("ij,ij->i", offsets, offsets)
+        if count := np.count_nonzero(squares < np.inf):
+            return bool(2 * np.count_nonzero(squares <= FARTHEST_RETURN**2) >= count)
+    return empty
 
 
 class Arrival(NamedTuple):
@@ -86,6 +104,11 @@ class Sweeps:
     def thinned(self) -> int:
         """Number of oldest sweeps of which only one point in `THINNING` is kept."""
         return 0 if self._whole is None else max(len(self._sweeps) - self._whole, 0)
+
+    @property
+    def newest(self) -> NDArray[np.float32]:
+        """Points of the newest sweep [m], shape [n, 3]; none if there is no sweep."""
+        return self._sweeps[-1] if self._sweeps else np.zeros((0, 3), dtype=np.float32)
 
     @functools.cached_property
     def points(self) -> NDArray[np.float32]:

@@ -127,7 +127,7 @@ def test_a_page_that_cannot_be_served_is_reported_in_one_line(short_poles: str, 
         (["tune", "forest", "--over", "costs.q_track", "--lidar.dropout", "2"], "lidar.dropout is 2.0"),
         (["tune", "{world}", "--over", "costs.q_track", "--seed", "-1"], "--seed is -1; it must be in [0, 2^32 - 1]"),
         (["tune", "forest", "--over", "costs.q_track", "--storage", "sqlite:////no/a.db"], "There is no folder /no;"),
-        (["tune", "{world}", "--over", "costs.q_track", "--storage", "foo"], "give a URL such as sqlite:///results"),
+        (["tune", "{world}", "--over", "costs.q_track", "--storage", "foo"], "foo is no URL of a storage; give"),
     ],
 )
 def test_mistakes_are_reported_in_one_line(

@@ -41,6 +41,7 @@ TEXTS = {
     "count": "60\n" + table(" ", more=True),
     "byte order mark": "\ufeffx,y,z\n" + table(","),
     "units": "X (mm),Y (mm),Z (mm)\n" + table(",", points=1000 * POINTS),
+    "units of the first columns only": "X (mm),Y (mm),Z (mm)\n" + table(",", more=True, points=1000 * POINTS),
     "names of VeloView": "Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2,intensity\n" + table(",", more=True),
     "trailing separator": table(",").replace("\n", ",\n"),
     "Windows": table(",").replace("\n", "\r\n"),
@@ -83,6 +84,8 @@ def test_a_column_of_times_is_used(tmp_path: Path):
     [
         ("lat,lon,height\n52.1,13.4,30\n52.2,13.4,30\n", "names no x among lat, lon, height"),
         ("x,y,q\n1,2,3\n", "names no z"),
+        ("y,x,z\n1,2,3,4\n", "names 3 columns, and its rows have 4"),
+        ("x,y\n1,2,3\n", "is not a recording"),
         ("x (mm),y (m),z (m)\n1,2,3\n", "different units"),
         ("90\n" + table(" "), "declares 90 points, and it holds 60"),
         (table(" ") + "1 2\n", "truncated: its last row has 2 columns"),

@@ -180,6 +180,17 @@ def test_ground_height():
     assert World("below", *ends, boxes=below).ground_height == -0.5
 
 
+def test_ground_is_still_ground_if_the_goal_lies_below_it():
+    start, floor, deck = np.array([0.0, 0, 2]), [5.0, 0, -1, 40, 40, 1, 0], [5.0, 0, 1, 40, 40, 1, 0]
+
+    def height(goal: list[float], *boxes: list[float]) -> float | None:
+        return World("w", start, np.array(goal), boxes=np.array(boxes)).ground_height
+
+    assert height([10.0, 0, -2], floor) == height([10.0, 0, -0.7], floor) == -0.5
+    assert height([10.0, 0, 0.2], floor, deck) == -0.5, "below a deck is above the floor"
+    assert height([90.0, 0, -2], floor) is None, "beside it is not below it"
+
+
 def movers(motion, **changes) -> World:
     rows = np.array([[4.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.5, 3.0]] * len(motion))
     return World("", np.zeros(3), np.array([9.0, 0.0, 1.0]), cylinders=rows, motion=np.array(motion), **changes)

@@ -46,6 +46,7 @@ class Problem:
     goal_velocity: wp.array(dtype=wp.vec3)  # [B], NaN: zero
     goal_quaternion: wp.array(dtype=wp.vec4)  # [B], NaN: level, with the nose toward the goal
     cloud_age: wp.array(dtype=float)  # [B]
+    is_blind: wp.array(dtype=int)  # [B], 1 where the newest sweep shows nothing although something is to be seen
     ground_height: wp.array(dtype=float)  # [B], -inf where it is unknown
 
 
@@ -151,6 +152,7 @@ class PreviousPlan:
     controls: wp.array2d(dtype=wp.vec4)  # [B, N], flown
     start_control: wp.array(dtype=wp.vec4)  # [B], control in effect at its start
     end: wp.array(dtype=wp.vec3)  # [B], final position of the rollout, world frame [m]
+    blind_time: wp.array(dtype=float)  # [B], for how long sweeps had shown nothing [s]
 
 
 def bundle(struct: Any, **arrays: Any) -> Any:

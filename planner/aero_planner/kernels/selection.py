@@ -22,6 +22,7 @@ from aero_planner.device.warp_ops import minimum_over, read_lane, read_lane_inte
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.mppi import PROBES, probe_position
+from aero_planner.kernels.prediction import time_since_plan
 from aero_planner.plan import PlanStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -346,7 +347,11 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
                     lowest = cost
                     best_admissible = admitted
         status = wp.where(best_admissible != 0, OK, NO_SAFE_CANDIDATE)
-        if problem.cloud_age[b] > c.cloud_age_max:
+        blind_time = float(0.0)
+        if problem.is_blind[b] != 0:
+            since = time_since_plan(b, problem.time[b], previous, c)
+            blind_time = previous.blind_time[b] + wp.where(since > 0.0, since, 0.0)  # NaN before the first plan
+        if wp.max(problem.cloud_age[b], blind_time) > c.cloud_age_max:
             status = STALE_CLOUD
         flown = m
         if status != OK:
@@ -376,6 +381,7 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         previous.start_control[b] = start.control[b]
         previous.end[b] = rollouts.positions[b, flown, steps]
         previous.tick[b] = previous.tick[b] + 1
+        previous.blind_time[b] = blind_time
         if not wp.isnan(problem.time[b]):
             previous.time[b] = problem.time[b]
         else:

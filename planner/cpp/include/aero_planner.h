@@ -31,8 +31,8 @@ typedef struct aero_goal {
 
 typedef enum aero_status {
     AERO_OK = 0,
-    AERO_NO_SAFE_CANDIDATE = 1, /* the command is a braking sequence, or the stop that was proven last */
-    AERO_STALE_CLOUD = 2        /* the cloud is older than partition.cloud_age_max; the command brakes */
+    AERO_NO_SAFE_CANDIDATE = 1, /* the command brakes, or keeps the largest clearance where no stop is clear */
+    AERO_STALE_CLOUD = 2        /* the cloud is older than partition.cloud_age_max, or empty as long; it brakes */
 } aero_status;
 
 typedef struct aero_sizes {

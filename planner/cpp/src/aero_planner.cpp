@@ -19,6 +19,7 @@
 namespace {
 
 constexpr float farthest = 1e6f; // largest value; float32 resolves a decimetre there, as in Python [m]
+constexpr double farthest_return = 300.0; // no LiDAR of a drone sees farther, as in Python [m]
 
 void start_warp()
 {
@@ -121,7 +122,7 @@ struct aero_planner {
         } expected[] = {
             {"time", 8}, {"position", 12}, {"velocity", 12}, {"quaternion", 16}, {"acceleration", 12},
             {"disturbance", 12}, {"goal_position", 12}, {"goal_velocity", 12}, {"goal_quaternion", 16}, {"cloud_age", 4},
-            {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"flown", 4}, {"seed", 4},
+            {"is_blind", 4}, {"ground_height", 4}, {"point_count", 4}, {"best", 4}, {"status", 4}, {"flown", 4}, {"seed", 4},
         };
         bool fits = true;
         for (const auto& array : expected)
@@ -163,6 +164,7 @@ struct aero_planner {
         put("goal_velocity", goal.velocity);
         put("goal_quaternion", goal.quaternion);
         put("cloud_age", cloud_age);
+        put("is_blind", static_cast<int32_t>(!shows_something(points, count, state.position)));
         put("ground_height", ground_height);
         put("point_count", count);
         if (count)
@@ -195,6 +197,22 @@ struct aero_planner {
         }
     }
 
+    // Returns whether at least half of the finite points are near enough for a LiDAR, as Python's function does.
+    static bool shows_something(const float* points, int32_t count, const float* position)
+    {
+        int32_t finite = 0, near = 0;
+        for (int32_t i = 0; i < count; ++i) {
+            double square = 0.0;
+            for (int axis = 0; axis < 3; ++axis) {
+                const double offset = static_cast<double>(points[3 * i + axis]) - position[axis];
+                square += offset * offset;
+            }
+            finite += std::isfinite(square);
+            near += square <= farthest_return * farthest_return;
+        }
+        return finite > 0 && 2 * near >= finite;
+    }
+
     // Returns a sentence about the first input that is invalid, or nullptr.
     static const char* find_mistake(const aero_state& state, const aero_goal& goal, float cloud_age, float ground_height)
     {
@@ -225,8 +243,8 @@ struct aero_planner {
             return "the goal's position or velocity is not finite or beyond 1e6";
         if (!is_omitted(goal.quaternion, 4) && (!is_in_range(goal.quaternion, 4) || length(goal.quaternion) < 1e-6f))
             return "the goal's quaternion is not finite or zero; give a unit quaternion, or NaN to derive it";
-        if (!std::isfinite(cloud_age))
-            return "the age of the cloud is not finite";
+        if (!std::isfinite(cloud_age) || cloud_age < 0.0f)
+            return "the age of the cloud is not finite or negative";
         if (!(ground_height <= farthest) || (std::isfinite(ground_height) && ground_height < -farthest))
             return "the ground height is NaN or beyond 1e6; give metres, or -INFINITY if it is unknown";
         return nullptr;
