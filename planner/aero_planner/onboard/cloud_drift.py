@@ -30,8 +30,8 @@ _ROUNDS = 3
 _SECTORS = 8  # parts of the view, by azimuth
 _SECTOR_POINTS = 20
 _DIRECTIONS = 60  # cells per turn, in azimuth and in elevation, that tell where the older points look
-# From one interval of 0.2 s to the next, in rigid scenes of the simulator, at up to 5 m/s and while the drone turns, the
-# coverage is at least 0.88 and the sectors agree to 0.05 m in nine of ten; among pillars that move, in one of ten.
+# From one interval of 0.2 s to the next, in rigid scenes of the simulator, at up to 5 m/s and while the drone turns,
+# the coverage is at least 0.88 and the sectors agree to 0.05 m in nine of ten; among pillars that move, in one of ten.
 _MIN_COVERAGE = 0.88  # part of the newer points, where the older ones look, in voxels that have older ones
 _MAX_DISAGREEMENT = 0.06  # [m]
 
