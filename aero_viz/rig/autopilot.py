@@ -67,6 +67,7 @@ class SimulatedAutopilot:
         vehicle: the true state of the vehicle.
         mode, armed: reported by the next heartbeat.
         frozen: True makes the autopilot repeat its last state.
+        velocity_error: error of the reported velocity along y, to the west, with which the position drifts [m/s].
         parameters: PX4's parameters by name; an int where PX4's is an integer.
         setpoints: all setpoints that were understood.
         refused: number of setpoints with another frame, with values that are not finite, or for another component.
@@ -98,6 +99,7 @@ class SimulatedAutopilot:
             place[2] = ground
         self.vehicle = Vehicle(model, place[None], [heading], period=PERIOD, device="cpu", seeds=[seed])
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
+        self.velocity_error = self._drift = 0.0  # [m/s], [m]
         self.parameters: dict[str, float | int] = {
             "COM_OF_LOSS_T": loss_time,
             "COM_OBL_RC_ACT": 5,
@@ -222,6 +224,7 @@ class SimulatedAutopilot:
             now: time at the end of the step, since the start of the simulation [s].
         """
         self._now = now
+        self._drift += self.velocity_error * PERIOD
         self._receive_datagrams()
         if self.mode is Mode.OFFBOARD and now - self._last_setpoint_time > self._loss_time:
             self.hold()
@@ -371,7 +374,9 @@ class SimulatedAutopilot:
         d = self._dialect
         stamp = _BOOT_TIME + self._now
         error = estimate_error(max(0.0, self._now - self._lost_at), height_offset=self._height_offset)
-        p, v = ned_from_world(self.position + error.position), ned_from_world(self.velocity + error.velocity)
+        west = np.array([0.0, 1.0, 0.0])
+        p = ned_from_world(self.position + error.position + self._drift * west)
+        v = ned_from_world(self.velocity + error.velocity + self.velocity_error * west)
         q = attitude_to_ned(self._q)
         rates = frd_from_flu(self.vehicle.control.numpy()[0, 1:])  # type: ignore[index]
         if _ODOMETRY not in self._periodic_messages:

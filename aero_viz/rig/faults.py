@@ -18,7 +18,7 @@ class FaultKind:
 
     help: str
     amount: float = 0.0
-    """Default amount: a probability, or a time [s]; 0 if the kind has none."""
+    """Default amount: a probability, a time [s] or a speed [m/s]; 0 if the kind has none."""
     duration: float = 0.0
     """Default duration [s]; 0 if the fault is instantaneous."""
 
@@ -35,6 +35,8 @@ FAULT_KINDS: dict[str, FaultKind] = {
     "corrupt": FaultKind("bytes of packets are changed", 0.3, 3.0),
     "freeze-state": FaultKind("the autopilot repeats one state", duration=3.0),
     "lose-position": FaultKind("the autopilot's position drifts and grows uncertain", duration=60.0),
+    "err-velocity": FaultKind("the autopilot's velocity is off to the west, and its position drifts", 0.6, 60.0),
+    "take-over": FaultKind("the pilot switches to HOLD, then back to OFFBOARD", duration=2.0),
     "kill-sensor": FaultKind("the LiDAR sends nothing", duration=60.0),
     "pause-node": FaultKind("the node's process is paused, then resumed", duration=0.5),
     "kill-node": FaultKind("the node's process is killed"),
@@ -56,7 +58,7 @@ class Fault:
         kind: name in FAULT_KINDS.
         at: time when the fault begins, after the engagement [s].
         duration: duration [s]; None is the default of the kind.
-        amount: probability, or time [s]; None is the default of the kind.
+        amount: probability, time [s] or speed [m/s]; None is the default of the kind.
 
     Raises:
         UserError: the kind does not exist or has no such value, or a value is out of range.

@@ -74,6 +74,7 @@ class RigFlight:
         self._mode = autopilot.mode
         self._handover: Handover | None = None
         self._reason = ""
+        self._noted_until = -math.inf  # time of the node's newest transition among the events
 
     def run(self) -> None:
         """Start the node and fly until the flight ends."""
@@ -156,6 +157,16 @@ class RigFlight:
             self._observe(tick, self._now - self._engaged_at)
         if isinstance(self._node, LockstepNode):
             self._node.step(self._now)
+            self._note_changes(self._node)
+
+    def _note_changes(self, process: LockstepNode) -> None:
+        """Note what the node has decided since the last step."""
+        if self._engaged_at is None or process.node is None:
+            return
+        for change in process.node.changes:
+            if change.time > self._noted_until:
+                self._noted_until = change.time
+                self._add_event(f"node: {change}", change.time - self._engaged_at)
 
     def _act_as_pilot(self, now: float) -> None:
         """Arm and take off once the node runs, and switch to OFFBOARD when it has been streaming for a while."""
@@ -169,7 +180,7 @@ class RigFlight:
                 self._autopilot.arm()
                 self._add_event("pilot arms and takes off")
         elif self._autopilot.engage():
-            self._engaged_at = now
+            self._engaged_at = self._noted_until = now
             self._mode = Mode.OFFBOARD
             self._add_event("pilot switches to OFFBOARD, autopilot accepts")
 
@@ -257,6 +268,12 @@ class RigFlight:
             self._autopilot.frozen = active
         elif fault.kind == "lose-position":
             self._autopilot.lose_position(active)
+        elif fault.kind == "err-velocity":
+            assert isinstance(self._autopilot, SimulatedAutopilot)  # checked by `fly_rig`
+            self._autopilot.velocity_error = (fault.amount or 0.0) if active else 0.0
+        elif fault.kind == "take-over":
+            # If no setpoints arrive, the autopilot refuses the way back.
+            _ = self._autopilot.hold() if active else self._autopilot.engage()
         elif fault.kind == "kill-sensor":
             self._sensor.alive = not active
         elif active:

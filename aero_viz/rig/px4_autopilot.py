@@ -160,6 +160,10 @@ class Px4Autopilot:
             self._set_mode(_OFFBOARD)
         return False
 
+    def hold(self) -> None:
+        """Switch to HOLD, as the pilot does."""
+        self._set_mode(_AUTO, _LOITER)
+
     def lose_position(self, lost: bool = True) -> None:
         """Switch GNSS off, or on again."""
         self._set_integer("SIM_GPS_USED", 0 if lost else _SATELLITES)

@@ -24,6 +24,7 @@ from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.livox import CARTESIAN_MM
 from aero_planner.onboard.mavlink_sender import load_dialect
 from aero_planner.onboard.settings import OnboardConfig
+from aero_viz.errors import UserError
 from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
 from aero_viz.rig.faults import Fault
@@ -103,10 +104,12 @@ def fly_rig(
 
     Raises:
         ImportError: pymavlink is not installed.
-        UserError: there is no PX4 in the folder, it does not start, or it does not accept a parameter, or pyulog
-            is not installed.
+        UserError: there is no PX4 in the folder, it does not start, it does not accept a parameter, its estimate is to
+            err, or pyulog is not installed.
         ValueError: the speed is out of range.
     """
+    if px4 is not None and any(fault.kind == "err-velocity" for fault in faults):
+        raise UserError("The fault err-velocity needs the rig's own autopilot: PX4 estimates its velocity itself.")
     config = config or PlannerConfig()
     if speed is not None:
         config = config.replace({"vehicle.speed_limit": speed})

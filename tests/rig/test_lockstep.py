@@ -14,7 +14,6 @@ from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.flight import FlightRules
 from aero_viz.flight.vehicle_model import VehicleModel
-from aero_viz.rig.estimate_error import EstimateError, estimate_error
 from aero_viz.rig.lockstep import LockstepRig
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.rig import PX4_RESPONSE
@@ -137,20 +136,11 @@ def test_a_drone_that_has_its_gnss_fix_again_flies_on(planner: Planner):
 
 
 @pytest.mark.parametrize("error", [0.6, -1.2])
-def test_a_velocity_that_begins_to_err_in_flight_brakes_within_a_second(
-    planner: Planner, monkeypatch: pytest.MonkeyPatch, error: float
-):
+def test_a_velocity_that_begins_to_err_in_flight_brakes_within_a_second(planner: Planner, error: float):
     with LockstepRig(planner, avenue((12.0, 0.6)), seed=1, lidar=MID360) as rig:
         at_full_speed(rig)
         assert all(change.target is not State.BRAKING for change in rig.node.changes)
-        begin = rig.now
-
-        def erring(lost: float, *, height_offset: float) -> EstimateError:
-            exact, passed = estimate_error(lost, height_offset=height_offset), rig.now - begin
-            drift = np.array([0.0, error, 0.0])
-            return exact._replace(position=exact.position + passed * drift, velocity=exact.velocity + drift)
-
-        monkeypatch.setattr("aero_viz.rig.autopilot.estimate_error", erring)
+        rig.autopilot.velocity_error = error
         rig.run(1.0)
         assert str(rig.node.changes[-1]).startswith("FLYING -> BRAKING: the cloud does not stand still")
         # It comes to rest by the LiDAR's velocity and is handed back.

@@ -253,7 +253,12 @@ def _estimate_is_poor(inputs: Inputs, limits: LimitSettings) -> bool:
 
 
 def _cloud_drifts(inputs: Inputs, limits: LimitSettings) -> bool:
-    """Return True if the drift exceeds a limit; one that is unknown (NaN) does not. Releases as above."""
+    """Return True if the drift exceeds a limit; one that is unknown (NaN) does not. Releases as above.
+
+    In flight, an estimate that drifted must be seen to stand still again: a place without structure proves nothing.
+    """
+    if inputs.cloud_drifted and inputs.armed and inputs.offboard and math.isnan(inputs.drift_speed):
+        return True
     scale = _RELEASE if inputs.cloud_drifted else 1.0
     angle = math.radians(limits.drift_angle)
     return inputs.drift_angle > scale * angle or inputs.drift_speed > scale * limits.drift_speed

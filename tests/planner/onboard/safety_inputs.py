@@ -54,6 +54,8 @@ def is_well(inputs: Inputs) -> bool:
     scale = 0.7 if inputs.cloud_drifted else 1.0
     drifts = inputs.drift_speed > scale * LIMITS.drift_speed
     drifts = drifts or inputs.drift_angle > scale * math.radians(LIMITS.drift_angle)
+    # One that drifted in flight must be measured again.
+    drifts = drifts or (inputs.cloud_drifted and inputs.armed and inputs.offboard and math.isnan(inputs.drift_speed))
     is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
     return fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
 

@@ -60,6 +60,7 @@ BREAKS: dict[str, dict[str, object]] = {
     "cloud turns": {"drift_angle": math.radians(LIMITS.drift_angle) + 0.01},
     "cloud moves": {"drift_speed": LIMITS.drift_speed + 0.01},
     "cloud still moves too much": {"drift_speed": 0.9 * LIMITS.drift_speed, "cloud_drifted": True},
+    "cloud no longer measured": {"drift_speed": math.nan, "drift_angle": math.nan, "cloud_drifted": True},
 }
 
 

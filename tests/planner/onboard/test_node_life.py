@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -97,8 +97,7 @@ class StandingLink:
         self.goal = np.array(GOAL)
         self.dropped: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
-        self.many = threading.Event()
-        """Set when twenty commands have arrived since `count` was zero."""
+        self.commands = threading.Condition()
         self.count = 0
         self.thrust_gain = 1.0
         self.failing = False
@@ -119,15 +118,16 @@ class StandingLink:
             raise RuntimeError("a defect of the control loop")
 
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
-        self.last = np.array(command)
-        self.count += 1
-        if self.count >= 20:
-            self.many.set()
+        with self.commands:
+            self.last = np.array(command)
+            self.count += 1
+            self.commands.notify_all()
 
-    def wait_for_commands(self) -> bool:
-        self.count = 0
-        self.many.clear()
-        return self.many.wait(60.0)
+    def wait_for_commands(self, until: Callable[[], bool] = lambda: True) -> bool:
+        """Wait for twenty more commands and for a condition; return False if they do not come within a minute."""
+        with self.commands:
+            last = self.count + 20
+            return self.commands.wait_for(lambda: self.count >= last and until(), 60.0)
 
     def close(self) -> None:
         pass
@@ -204,7 +204,7 @@ def test_a_lost_terminal_brakes_even_when_signalled_twice_and_a_second_signal_en
         for number in (signal.SIGHUP, signal.SIGHUP, signal.SIGTERM):
             os.kill(os.getpid(), number)
             if number == signal.SIGHUP:
-                results.append(link.wait_for_commands() and node.state is State.BRAKING)
+                results.append(link.wait_for_commands(lambda: node.state is State.BRAKING))
 
     thread = threading.Thread(target=pilot)
     began = time.monotonic()

@@ -88,6 +88,20 @@ def test_a_banked_drone_keeps_its_height(bank: float, heading: float, speed: flo
     assert max(motion.position[2] for motion in motions) < HEIGHT + 0.6
 
 
+def test_no_thrust_stops_a_descent_at_2_m_s_within_the_loss_that_a_bank_may_cost():
+    """The equation of a level drone with full thrust: dv/dt = F/m - g - k v, where F rises with the thrust's lag."""
+    step, sink, force, sunk = 1e-4, 2.0, WEIGHT, 0.0
+    while sink > 0.0:
+        force += step * (VEHICLE.thrust_max - force) / RESPONSE.thrust_lag
+        sink -= step * (force / VEHICLE.mass - VEHICLE.gravity + RESPONSE.drag * sink)
+        sunk += step * sink
+    assert sunk == pytest.approx(0.36, abs=0.01)
+    motion = start(0.0, 0.0, 0.0, 2.0)
+    assert least_loss(motion) == pytest.approx(sunk, abs=0.01)
+    # The controller follows 0.05 m behind.
+    assert loss(stop(motion)) < sunk + 0.06
+
+
 @settings(max_examples=60, deadline=None)
 @given(banks, headings, speeds, sinks, st.booleans())
 def test_a_sinking_drone_loses_little_more_than_it_must(
