@@ -58,7 +58,7 @@ class StatusPanel(Panel):
         ]
 
     def _state(self, frame: Frame) -> str:
-        recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+        recorded = frame.recorded_plan
         status = PlanStatus(int(np.asarray(frame.plan.status))) if recorded is None else recorded.status
         pills = [markup.pill(*_STATUS[status])]
         if frame.outcome is not None:

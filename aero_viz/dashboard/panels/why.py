@@ -158,7 +158,7 @@ class WhyPanel(Panel):
 
 def _recorded(frame: Frame) -> list[str]:
     """Return the parts of the flown plan that a log holds, and those that it lacks."""
-    if frame.source.recorded_plan is None or (plan := frame.source.recorded_plan(frame.time)) is None:
+    if (plan := frame.recorded_plan) is None:
         return []
     text = (
         f"The log holds S2 and clearance of each recorded instance ({plan.best} {plan.kinds[plan.best]}: S2 "
