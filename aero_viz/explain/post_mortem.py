@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import PlanStatus
-from aero_planner.quaternions import rotate
 from aero_planner.plan import BrakingCandidates
+from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
 from aero_viz.explain.decision import Decision
 from aero_viz.explain.evidence import Evidence, Replanner
@@ -27,8 +27,6 @@ FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
 _APPROACH_MIN = 0.5
 """Mean speed from which a drone is on its way to the goal [m/s]."""
-_STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
-"""Reason for which the planner stops the drone, by the status of the plan."""
 _MOVING = "hit a moving obstacle"
 _AGAIN = "computed again"
 _RADIUS = 6
@@ -47,7 +45,9 @@ class BrakingTick:
     """[m/s]"""
     tilt_deg: float
     safe: list[int]
-    """Instances that the planner counted as safe. For a log they are computed again, unless its status says "none"."""
+    """Instances that the planner counted as safe."""
+    is_computed_again: bool
+    """True if `safe` was computed again, since a log does not hold it."""
     instances: int
     flown: int
     """Instance that was flown, recorded in a log."""
@@ -77,7 +77,7 @@ class PostMortem:
     braking: BrakingTick | None = None
     blocked: list[dict[str, Any]] = field(default_factory=list)
     """For a stall, one entry per instance on the obstacle that blocks it: number, kind, obstacle, clearance [m] and
-    cost-to-go."""
+    cost-to-go. Computed again where the flight is that of a log."""
     sentences: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     """Questions that could not be answered."""
@@ -144,9 +144,9 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     sentences.append(_seen_sentence(seen, braking))
     sentences += _braking_sentences(frames, braking, until)
     status = Decision.of(frames[-1]).status
-    if was_braking := status in _STOPPING:
+    if was_braking := status != PlanStatus.OK:
         since = next((f.time for f in reversed(frames) if Decision.of(f).status != status), frames[0].time)
-        sentences.append(f"It was stopping when it hit: {_STOPPING[status]} after {since:.2f} s.")
+        sentences.append(f"It was stopping when it hit: {_stop_reason(frames[-1], status)} after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
     if moving_row is not None:
         cause = f"{_MOVING}: {cause}"
@@ -170,6 +170,7 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
     `cylinders` are its rows of `World.cylinders` at the times of the frames, shape [frames, 8].
     """
     since: float | None = None
+    again = _again(Decision.of(frames[-1]).is_recorded)
     for frame, cylinder in zip(reversed(frames), reversed(cylinders), strict=True):
         moving = frame.plan.moving
         if moving is None:
@@ -179,10 +180,9 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
             break
         since = frame.time
     if since is None:
-        return ["The planner did not track it as moving at the end."]
-    return [
-        f"The planner had tracked its motion since {since:.2f} s{' or earlier' if since == frames[0].time else ''}."
-    ]
+        return [f"The planner did not track it as moving at the end{again}."]
+    earlier = " or earlier" if since == frames[0].time else ""
+    return [f"The planner had tracked its motion since {since:.2f} s{earlier}{again}."]
 
 
 def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:
@@ -251,7 +251,6 @@ def _last_braking(
 
 def _braking_tick(frame: Frame, evidence: Evidence, end: float, estimated_until: float | None) -> BrakingTick:
     state, decision = frame.observation.actual_state, Decision.of(frame)
-    is_none_safe = decision.is_recorded and decision.status == PlanStatus.NO_SAFE_CANDIDATE
     off = np.subtract(frame.observation.state.position, state.position)
     up = rotate(np.asarray(state.quaternion), np.array([0.0, 0.0, 1.0]))
     return BrakingTick(
@@ -259,7 +258,8 @@ def _braking_tick(frame: Frame, evidence: Evidence, end: float, estimated_until:
         before_end_s=round(end - frame.time, 3),
         speed=float(np.linalg.norm(np.asarray(state.velocity))),
         tilt_deg=float(np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0)))),
-        safe=[] if is_none_safe else [int(m) for m in np.flatnonzero(evidence.is_safe)],
+        safe=[] if _is_none_safe(frame, decision) else [int(m) for m in np.flatnonzero(evidence.is_safe)],
+        is_computed_again=decision.is_recorded and not _is_none_safe(frame, decision),
         instances=len(evidence.is_safe),
         flown=decision.instance,
         kind=decision.kind,
@@ -281,7 +281,7 @@ def _braking_sentences(frames: list[Frame], braking: BrakingTick | None, estimat
         count = len(braking.safe)
         which = f"{count} of {braking.instances} candidates were safe"
         which += f" (instance{'s' * (count > 1)} {', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
-        which += _again(is_log and braking.status == PlanStatus.OK.name)
+        which += _again(braking.is_computed_again)
         sentences = [
             f"The last tick from which braking{start} would have worked is {braking.time_s:.2f} s{_again(is_log)}, "
             f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
@@ -293,6 +293,19 @@ def _braking_sentences(frames: list[Frame], braking: BrakingTick | None, estimat
         until = "at no tick" if estimated_until is None else f"until {estimated_until:.2f} s"
         sentences.append(f"From the state that the planner took for true{off}, it would have worked {until}.")
     return sentences
+
+
+def _is_none_safe(frame: Frame, decision: Decision) -> bool:
+    """Return True if a log says that no candidate was safe."""
+    is_unsafe = decision.status == PlanStatus.NO_SAFE_CANDIDATE
+    return decision.is_recorded and is_unsafe and frame.config.candidates.prefer_safe
+
+
+def _stop_reason(frame: Frame, status: PlanStatus) -> str:
+    """Return why the planner stops the drone."""
+    if status == PlanStatus.STALE_CLOUD:
+        return "the cloud was stale"
+    return "no candidate was safe" if frame.config.candidates.prefer_safe else "the cheapest candidate was not safe"
 
 
 def _again(is_again: bool) -> str:
@@ -318,7 +331,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
     statuses = Counter(Decision.of(frame).status for frame in frames)
     again = _again(Decision.of(last).is_recorded)
-    stops = {why: statuses[status] for status, why in _STOPPING.items()}
+    stops = {_stop_reason(last, status): statuses[status] for status in PlanStatus if status != PlanStatus.OK}
     remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",

@@ -226,7 +226,7 @@ class Engine:
             explanation=self.source.explanation,
             timings_ms={
                 "observe": 1e3 * (observed - started),
-                "plan": 1e3 * (planned - observed),
+                "plan": plan.stage_ms["total"],
                 "advance": advance_ms,
             },
             rate=self._rate(),

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from aero_planner.mailbox import Mailbox
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
@@ -162,7 +163,7 @@ def _recorded(frame: Frame) -> list[str]:
         return []
     text = (
         f"The log holds S2 and clearance of each recorded instance ({plan.best} {plan.kinds[plan.best]}: S2 "
-        f"{plan.stage2_cost[plan.best]:.4g}, {plan.clearance[plan.best]:.2f} m), but neither terms nor samples: what "
-        "follows explains the live planner on the recorded cloud."
+        f"{cost_text(plan.stage2_cost[plan.best])}, {plan.clearance[plan.best]:.2f} m), but neither terms nor "
+        "samples: what follows explains the live planner on the recorded cloud."
     )
     return [markup.muted(text)]
