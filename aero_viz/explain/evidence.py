@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Plan, Planner
+from aero_planner import Plan, Planner, VehicleState
 from aero_planner.cost_terms import CostTerms
+from aero_planner.plan import BrakingCandidates
 from aero_planner.safety import Safety
 from aero_planner.stages.way_out.places import PLACES
 from aero_viz.errors import UserError
@@ -76,9 +78,13 @@ class Replanner:
                 "This plan cannot be explained term by term: the drone sends neither its samples nor the state of its "
                 "planner. Its own log can be played and explained."
             )
-        planner = self._configured(frame)
-        planner.restore(frame.checkpoint.planner)
+        planner = self._restored(frame)
         return _evidence(frame, frame.observation.plan_with(planner), planner)
+
+    def braking(self, frame: Frame, state: VehicleState) -> BrakingCandidates | None:
+        """Return the braking candidates at the tick of a frame, which has a checkpoint, from another state."""
+        planner = self._restored(frame)
+        return dataclasses.replace(frame.observation, state=state).plan_with(planner).braking
 
     def close(self) -> None:
         """Release the planner."""
@@ -86,7 +92,9 @@ class Replanner:
             self._planner.close()
             self._planner = None
 
-    def _configured(self, frame: Frame) -> Planner:
+    def _restored(self, frame: Frame) -> Planner:
+        """Return the planner with the configuration and the history that it had before the tick of a frame."""
+        assert frame.checkpoint is not None
         key = (frame.device, frame.seed)
         if self._planner is None or key != self._key:
             self.close()
@@ -94,6 +102,7 @@ class Replanner:
             self._planner = Planner(frame.config, device=key[0], seed=key[1])
         elif self._planner.config is not frame.config:
             self._planner.configure(frame.config)
+        self._planner.restore(frame.checkpoint.planner)
         return self._planner
 
 

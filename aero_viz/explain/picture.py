@@ -30,7 +30,7 @@ COLORS = {
 
 def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     """Return the map around the drone. Obstacles are cut at its height; `end` is where it hit [m], shape [3]."""
-    frame, plan = evidence.frame, evidence.plan
+    frame, plan, recorded = evidence.frame, evidence.plan, evidence.frame.recorded_plan
     drone = frame.drone_position
     size = 2.0 * _HALF * _PIXELS
 
@@ -53,9 +53,9 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     parts += [
         line(path, COLORS["safe" if evidence.is_safe[m] else "unsafe"], 2.0)
         for m, path in enumerate(plan.positions)
-        if m != plan.best
+        if m != plan.best or recorded is not None
     ]
-    parts.append(line(plan.positions[int(plan.best)], COLORS["chosen"], 5.0))
+    parts.append(line(plan.positions[int(plan.best)] if recorded is None else recorded.path, COLORS["chosen"], 5.0))
     x, y = place(drone)
     ink = COLORS["text"]
     parts.append(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{0.25 * _PIXELS:.0f}" fill="none" stroke="{ink}"/>')
@@ -66,7 +66,8 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     keys.append(("- - braking", COLORS["braking"]))
     keys += [] if end is None else [("× the end", ink)]
     spans = " ".join(f'<tspan dx="8" fill="{color}">{label}</tspan>' for label, color in keys)
-    caption = f"{frame.time:.2f} s, at {drone[2]:.1f} m height, {2.0 * _HALF:.0f} m wide"
+    again = "" if recorded is None else ", candidates computed again"
+    caption = f"{frame.time:.2f} s, at {drone[2]:.1f} m height, {2.0 * _HALF:.0f} m wide{again}"
     foot = (
         f'<rect y="{size:.0f}" width="100%" height="100%" fill="{COLORS["ground"]}"/>'  # paths may leave the map
         f'<text y="{size + _LINE - 6:.0f}">{spans}</text>'

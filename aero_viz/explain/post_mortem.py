@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -10,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import PlanStatus
+from aero_planner.plan import BrakingCandidates
 from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
+from aero_viz.explain.decision import Decision
 from aero_viz.explain.evidence import Evidence, Replanner
 from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
@@ -24,9 +27,8 @@ FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
 _APPROACH_MIN = 0.5
 """Mean speed from which a drone is on its way to the goal [m/s]."""
-_STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
-"""Reason for which the planner stops the drone, by the status of the plan."""
 _MOVING = "hit a moving obstacle"
+_AGAIN = "computed again"
 _RADIUS = 6
 """Column of `World.cylinders` with the radius."""
 _SAME_OBSTACLE = 0.5
@@ -35,7 +37,7 @@ _SAME_OBSTACLE = 0.5
 
 @dataclass(frozen=True)
 class BrakingTick:
-    """The last tick from which braking would have worked."""
+    """The last tick from which braking would have worked, from the true state of the drone."""
 
     time_s: float
     before_end_s: float
@@ -44,10 +46,21 @@ class BrakingTick:
     tilt_deg: float
     safe: list[int]
     """Instances that the planner counted as safe."""
+    is_computed_again: bool
+    """True if `safe` was computed again, since a log does not hold it."""
     instances: int
     flown: int
-    """Instance that was flown."""
+    """Instance that was flown, recorded in a log."""
+    kind: str
+    """Kind of that instance."""
+    clearance_m: float
+    """Clearance of its plan, recorded in a log, at most costs.distance_max."""
     status: str
+    """Status of the plan, recorded in a log."""
+    estimate_off_m: float
+    """Distance of the estimated position from the true one."""
+    estimated_until_s: float | None
+    """Last tick from which braking would have worked from the estimated state; None if there is none."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +77,7 @@ class PostMortem:
     braking: BrakingTick | None = None
     blocked: list[dict[str, Any]] = field(default_factory=list)
     """For a stall, one entry per instance on the obstacle that blocks it: number, kind, obstacle, clearance [m] and
-    cost-to-go."""
+    cost-to-go. Computed again where the flight is that of a log."""
     sentences: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     """Questions that could not be answered."""
@@ -119,25 +132,21 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         sentences = [f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."]
         sentences += _followed_sentence(frames, cylinders)
     seen = find_seen(frames, place)
-    frame = _last_braking(frames, last.moving_world, trace.rules.radius)
-    evidence = None if frame is None else replan(frame)
-    braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
-    sentences.append(_seen_sentence(seen, braking))
-    if braking is None or evidence is None:
-        sentences.append(f"Braking would not have worked from any of the last {len(frames)} ticks.")
-    else:
-        count = len(braking.safe)
-        which = f"{count} of {braking.instances} candidates were safe"
-        which += f" (instance{'s' * (count > 1)} {', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
-        sentences.append(
-            f"The last tick from which braking would have worked is {braking.time_s:.2f} s, "
-            f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
-            f"deg; {which}, and instance {braking.flown} ({evidence.plan.kinds[braking.flown]}) was flown."
+    estimated = _last_braking(frames, last.moving_world, trace.rules.radius, lambda frame: frame.plan.braking)
+    frame = estimated
+    if any(map(_has_estimate, frames)):
+        frame = _last_braking(
+            frames, last.moving_world, trace.rules.radius, lambda f: replan.braking(f, f.observation.actual_state)
         )
-    status = _status(frames[-1])
-    if was_braking := status in _STOPPING:
-        since = next((f.time for f in reversed(frames) if _status(f) != status), frames[0].time)
-        sentences.append(f"It was stopping when it hit: {_STOPPING[status]} after {since:.2f} s.")
+    until = None if estimated is None else round(estimated.time, 3)
+    evidence = None if frame is None else replan(frame)
+    braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time, until)
+    sentences.append(_seen_sentence(seen, braking))
+    sentences += _braking_sentences(frames, braking, until)
+    status = Decision.of(frames[-1]).status
+    if was_braking := status != PlanStatus.OK:
+        since = next((f.time for f in reversed(frames) if Decision.of(f).status != status), frames[0].time)
+        sentences.append(f"It was stopping when it hit: {_stop_reason(frames[-1], status)} after {since:.2f} s.")
     cause = _cause(seen, braking, was_braking, is_start=trace.end_time == 0.0)
     if moving_row is not None:
         cause = f"{_MOVING}: {cause}"
@@ -161,6 +170,7 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
     `cylinders` are its rows of `World.cylinders` at the times of the frames, shape [frames, 8].
     """
     since: float | None = None
+    again = _again(Decision.of(frames[-1]).is_recorded)
     for frame, cylinder in zip(reversed(frames), reversed(cylinders), strict=True):
         moving = frame.plan.moving
         if moving is None:
@@ -170,10 +180,9 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
             break
         since = frame.time
     if since is None:
-        return ["The planner did not track it as moving at the end."]
-    return [
-        f"The planner had tracked its motion since {since:.2f} s{' or earlier' if since == frames[0].time else ''}."
-    ]
+        return [f"The planner did not track it as moving at the end{again}."]
+    earlier = " or earlier" if since == frames[0].time else ""
+    return [f"The planner had tracked its motion since {since:.2f} s{earlier}{again}."]
 
 
 def _cause(seen: Seen, braking: BrakingTick | None, was_braking: bool, *, is_start: bool) -> str:
@@ -205,16 +214,25 @@ def _contact(frame: Frame, world: World | None, position: Array) -> tuple[Array,
     return position - distance * slope / max(float(np.linalg.norm(slope)), 1e-9), name
 
 
-def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Frame | None:
+def _has_estimate(frame: Frame) -> bool:
+    """Return True if the planner's state differs from the true one."""
+    return frame.observation.actual_state is not frame.observation.state
+
+
+def _last_braking(
+    frames: list[Frame], world: World | None, radius: float, braking_of: Callable[[Frame], BrakingCandidates | None]
+) -> Frame | None:
     """Return the last frame with a braking manoeuvre, as the planner models it, that keeps clear of every obstacle.
 
-    Obstacles are those of the world; without a world, the points of the last cloud.
+    Obstacles are those of the world; without a world, the points of the last cloud. `braking_of` returns the
+    manoeuvres of a frame.
     """
     cloud = frames[-1].observation.points
     for frame in reversed(frames):
-        if frame.plan.braking is None:
+        braking = braking_of(frame)
+        if braking is None:
             return None
-        paths = frame.plan.braking.positions.astype(np.float64)
+        paths = braking.positions.astype(np.float64)
         places = np.concatenate((paths, 0.5 * (paths[:, 1:] + paths[:, :-1])), axis=1)
         if world is not None:
             steps = frame.config.sampling.dt * np.arange(paths.shape[1])
@@ -225,25 +243,74 @@ def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Fr
 
             distance = KDTree(cloud).query(places.reshape(-1, 3))[0]
         clear = np.asarray(distance).reshape(len(paths), -1).min(axis=1) >= radius
-        slow = np.linalg.norm(frame.plan.braking.velocities[:, -1], axis=1) < float(STOPPED)
+        slow = np.linalg.norm(braking.velocities[:, -1], axis=1) < float(STOPPED)
         if (clear & slow).any():
             return frame
     return None
 
 
-def _braking_tick(frame: Frame, evidence: Evidence, end: float) -> BrakingTick:
-    state = frame.observation.actual_state
+def _braking_tick(frame: Frame, evidence: Evidence, end: float, estimated_until: float | None) -> BrakingTick:
+    state, decision = frame.observation.actual_state, Decision.of(frame)
+    off = np.subtract(frame.observation.state.position, state.position)
     up = rotate(np.asarray(state.quaternion), np.array([0.0, 0.0, 1.0]))
     return BrakingTick(
         time_s=round(frame.time, 3),
         before_end_s=round(end - frame.time, 3),
         speed=float(np.linalg.norm(np.asarray(state.velocity))),
         tilt_deg=float(np.degrees(np.arccos(np.clip(up[2], -1.0, 1.0)))),
-        safe=[int(m) for m in np.flatnonzero(evidence.is_safe)],
+        safe=[] if _is_none_safe(frame, decision) else [int(m) for m in np.flatnonzero(evidence.is_safe)],
+        is_computed_again=decision.is_recorded and not _is_none_safe(frame, decision),
         instances=len(evidence.is_safe),
-        flown=int(evidence.plan.best),
-        status=_status(frame).name,
+        flown=decision.instance,
+        kind=decision.kind,
+        clearance_m=round(decision.clearance, 3),
+        status=decision.status.name,
+        estimate_off_m=round(float(np.linalg.norm(off)), 3),
+        estimated_until_s=estimated_until,
     )
+
+
+def _braking_sentences(frames: list[Frame], braking: BrakingTick | None, estimated_until: float | None) -> list[str]:
+    """Say from where braking would have worked, from the true and from the estimated state, and what was flown."""
+    is_log, has_estimate = Decision.of(frames[-1]).is_recorded, any(map(_has_estimate, frames))
+    start = " from its true state" if has_estimate else ""
+    if braking is None:
+        sentences = [f"Braking{start} would not have worked from any of the last {len(frames)} ticks{_again(is_log)}."]
+        off = ""
+    else:
+        count = len(braking.safe)
+        which = f"{count} of {braking.instances} candidates were safe"
+        which += f" (instance{'s' * (count > 1)} {', '.join(map(str, braking.safe))})" if 0 < count <= 8 else ""
+        which += _again(braking.is_computed_again)
+        sentences = [
+            f"The last tick from which braking{start} would have worked is {braking.time_s:.2f} s{_again(is_log)}, "
+            f"{braking.before_end_s:.2f} s before the end: speed {braking.speed:.1f} m/s, tilt {braking.tilt_deg:.0f} "
+            f"deg; {which}, and instance {braking.flown} ({braking.kind}) was flown, with a clearance of "
+            f"{braking.clearance_m:.2f} m."
+        ]
+        off = f", {braking.estimate_off_m:.2f} m off at that tick"
+    if has_estimate:
+        until = "at no tick" if estimated_until is None else f"until {estimated_until:.2f} s"
+        sentences.append(f"From the state that the planner took for true{off}, it would have worked {until}.")
+    return sentences
+
+
+def _is_none_safe(frame: Frame, decision: Decision) -> bool:
+    """Return True if a log says that no candidate was safe."""
+    is_unsafe = decision.status == PlanStatus.NO_SAFE_CANDIDATE
+    return decision.is_recorded and is_unsafe and frame.config.candidates.prefer_safe
+
+
+def _stop_reason(frame: Frame, status: PlanStatus) -> str:
+    """Return why the planner stops the drone."""
+    if status == PlanStatus.STALE_CLOUD:
+        return "the cloud was stale"
+    return "no candidate was safe" if frame.config.candidates.prefer_safe else "the cheapest candidate was not safe"
+
+
+def _again(is_again: bool) -> str:
+    """Return the mark of what a log does not hold."""
+    return f" ({_AGAIN})" if is_again else ""
 
 
 def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence]:
@@ -262,12 +329,13 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
     nearest = ", ".join(f"{name} ({n})" for name, n in blocking.most_common(4))
     unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
-    statuses = Counter(map(_status, frames))
-    stops = {why: statuses[status] for status, why in _STOPPING.items()}
+    statuses = Counter(Decision.of(frame).status for frame in frames)
+    again = _again(Decision.of(last).is_recorded)
+    stops = {_stop_reason(last, status): statuses[status] for status in PlanStatus if status != PlanStatus.OK}
     remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
-        f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan."
+        f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan{again}."
         + (f" Nearest to the anchors: {nearest}." if nearest else ""),
         *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
     ]
@@ -275,11 +343,11 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
         sentences.append(
             f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
-            f"up to {to_go.max() / weight:.1f} m of {last.config.lookahead:g} m are blocked."
+            f"up to {to_go.max() / weight:.1f} m of {last.config.lookahead:g} m are blocked{again}."
         )
     if places := evidence.places:
         are = "place without progress is" if places == 1 else "places without progress are"
-        sentences.append(f"{places} {are} remembered nearby.")
+        sentences.append(f"{places} {are} remembered nearby{again}.")
     approach = _approach(frames)
     cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)], approach)
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
@@ -303,10 +371,6 @@ def _stall_cause(
     if not any(row["safe"] for row in anchors):
         return f"{name}: every anchor is blocked"
     return f"{name}: {'the way to the goal is blocked' if (to_go > 0.0).all() else 'moving without coming nearer'}"
-
-
-def _status(frame: Frame) -> PlanStatus:
-    return PlanStatus(int(np.asarray(frame.plan.status)))
 
 
 def _point(place: Array) -> str:

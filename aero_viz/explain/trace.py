@@ -140,5 +140,8 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
         trace.missing.append("The log does not say how the flight ended: it was cut off, or a drone wrote it.")
     if source.info.world is None:
         trace.missing.append("The log holds no world: obstacles have no names, and what was occluded is not known.")
-    trace.missing.append("Plans were computed again from the recorded clouds; their noise differs from the flight's.")
+    trace.missing.append(
+        "Decisions, statuses and clearances are those of the log. It holds no candidates: what is marked as computed "
+        "again is from plans on the recorded clouds, whose noise differs from that of the flight."
+    )
     return trace

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlanStatus, registry
 from aero_planner.costs import CostTerm
+from aero_viz.cost_text import cost_text
 from aero_viz.explain.evidence import Evidence
 from aero_viz.scenes import World
 
@@ -66,7 +67,7 @@ def verdict(evidence: Evidence, instance: int) -> str:
         return _won(evidence)
     if evidence.frame.config.candidates.prefer_safe and evidence.is_safe[best] and not evidence.is_safe[instance]:
         difference = float(plan.stage2_cost[instance] - plan.stage2_cost[best])
-        cost = f"It costs {_number(abs(difference))} {'more' if difference > 0.0 else 'less'} than {best}."
+        cost = f"It costs {cost_text(abs(difference))} {'more' if difference > 0.0 else 'less'} than {best}."
         return f"{_unsafe(evidence, instance)} {cost}"
     return f"Instance {instance} lost to {best}: {_difference(evidence, instance, best)}."
 
@@ -122,8 +123,8 @@ def _difference(evidence: Evidence, instance: int, best: int) -> str:
     by_term = gap.sum(axis=1)
     row = int(by_term.argmax())
     term, total, largest = costs.terms[row], float(by_term.sum()), float(by_term[row])
-    cause = f"{_number(largest)} more for {term.label}{_when(evidence, instance, gap[row], term)}"
-    return cause if abs(total - largest) < 0.05 * abs(total) else f"{_number(total)} more in all, {cause}"
+    cause = f"{cost_text(largest)} more for {term.label}{_when(evidence, instance, gap[row], term)}"
+    return cause if abs(total - largest) < 0.05 * abs(total) else f"{cost_text(total)} more in all, {cause}"
 
 
 def _when(evidence: Evidence, instance: int, gap: Array, term: CostTerm) -> str:
@@ -139,7 +140,3 @@ def _when(evidence: Evidence, instance: int, gap: Array, term: CostTerm) -> str:
         return span
     distance, _, obstacle = closest(evidence, instance, slice(first, last + 1))
     return f"{span}, {distance:.2f} m from {obstacle}"
-
-
-def _number(value: float) -> str:
-    return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"

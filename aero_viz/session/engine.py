@@ -18,6 +18,9 @@ from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint, Timeline
 
+_WARM_UP = 100
+"""Ticks of a recording that are planned before one that is sought, so that the planner knows what went before."""
+
 
 class Engine:
     """Owns a source, a planner and a checkpoint of every tick so far.
@@ -52,6 +55,8 @@ class Engine:
         self._timeline = Timeline()
         self._tick_ends: deque[float] = deque(maxlen=200)
         self._epoch = 0
+        self._is_gapless = True
+        """True if the ticks of the timeline follow one another, and were planned as the next one will be."""
 
     @property
     def time_range(self) -> tuple[float, float]:
@@ -117,6 +122,7 @@ class Engine:
             change(self.source)
             if self._timeline:
                 self._timeline.amend(self.source.checkpoint())
+                self._is_gapless = False
             self.replan()
         except Exception:
             # Otherwise every later tick would fail in the same way.
@@ -129,20 +135,49 @@ class Engine:
         """Go to the tick at or before `time` [s]; ValueError unless it is finite."""
         if not np.isfinite(time):
             raise ValueError(f"time is {time}; it must be a finite number [s].")
-        if self.source.info.times is not None:
-            self.source.seek(time)
-            self._start_over()
-            self._plan()
+        if (times := self.source.info.times) is not None:
+            self._go_to_row(times, max(_row(times, time), 0))
         elif self._timeline:
             self._return_to(self._timeline.go_to_time(time))
 
     def step_back(self, count: int) -> None:
         """Go back by `count` ticks, or to the first one."""
         times = self.source.info.times
-        if times is not None and self.frame is not None and self._timeline.earlier < count:
-            self.seek(float(times[max(_row(times, self.frame.time) - count, 0)]))
+        if times is not None and self.frame is not None:
+            self._go_to_row(times, max(_row(times, self.frame.time) - count, 0))
         elif self._timeline:
             self._return_to(self._timeline.go_by(-count))
+
+    def _go_to_row(self, times: NDArray[np.float64], row: int) -> None:
+        """Plan a tick of a recording after the ticks before it, whatever was shown so far.
+
+        Otherwise its plan would depend on how one came there. The ticks before it are those since the beginning, and
+        far from there at least the last `_WARM_UP`.
+        """
+        start = max(row - _WARM_UP, 0)
+        first, last = self._planned_rows(times)
+        if self._is_gapless and self._configs.current[0] is self._config and first <= start <= last:
+            begin = min(row, last)
+            checkpoint = self._timeline.go_by(begin - first - self._timeline.earlier)
+            self.source.restore(checkpoint.source)
+            self._epoch += 1
+            history = checkpoint.planner
+        else:
+            begin, history = start, None
+            self.source.seek(float(times[start]))
+            self._start_over()
+        self._plan(history=history, is_shown=begin == row)
+        for reached in range(begin + 1, row + 1):
+            assert self.frame is not None
+            self.source.advance(self.frame.plan)
+            self._plan(is_shown=reached == row)
+
+    def _planned_rows(self, times: NDArray[np.float64]) -> tuple[int, int]:
+        """Return the rows of the first and the last tick of the timeline of a recording, -1 if it is empty."""
+        if not self._timeline:
+            return -1, -1
+        first, last = self._timeline.time_range
+        return _row(times, first), _row(times, last)
 
     def skip_to(self, time: float) -> None:
         """Drop ticks of a recording so that the next tick is the one at or before `time` [s]."""
@@ -154,6 +189,7 @@ class Engine:
         if skipped > 0:
             self.source.seek(float(times[target - 1]))
             self.dropped_ticks += skipped
+            self._is_gapless = False
 
     def set_source(self, source: Source, *, seed: int | None = None) -> None:
         """Continue with another source, from its start, and with another seed of the planner's noise if one is given.
@@ -178,7 +214,7 @@ class Engine:
     def _start_over(self) -> None:
         """Discard all checkpoints and the previous plan; the source's current tick becomes the first one."""
         self._planner.reset(seed=self.seed)
-        self._timeline = Timeline()
+        self._timeline, self._is_gapless = Timeline(), True
         self._epoch += 1
 
     def _return_to(self, checkpoint: Checkpoint) -> None:
@@ -186,12 +222,13 @@ class Engine:
         self._epoch += 1
         self._plan(history=checkpoint.planner)
 
-    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0) -> Frame:
-        """Plan and publish the source's current tick.
+    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0, is_shown: bool = True) -> Frame:
+        """Plan the source's current tick, and publish it.
 
         Args:
             history: the planner's state before a tick that is planned again; None for a new tick.
             advance_ms: how long the source took to advance to this tick [ms].
+            is_shown: False for a tick on the way to another one, which is not published.
         """
         is_new = history is None
         config, version = self._configs.current
@@ -200,6 +237,7 @@ class Engine:
         observed = time.perf_counter()
         if config is not self._config:
             self._configure(config)
+            self._is_gapless = self._is_gapless and not self._timeline
         if history is None:
             history = self._planner.history()
         else:
@@ -226,7 +264,7 @@ class Engine:
             explanation=self.source.explanation,
             timings_ms={
                 "observe": 1e3 * (observed - started),
-                "plan": 1e3 * (planned - observed),
+                "plan": plan.stage_ms["total"],
                 "advance": advance_ms,
             },
             rate=self._rate(),
@@ -239,6 +277,9 @@ class Engine:
             device=self._planner.device,
             is_safe=is_safe,
         )
+        if not is_shown:
+            self.frame = frame
+            return frame
         return self._publish(frame)
 
     def judge(self, planner: Planner) -> NDArray[np.bool_] | None:

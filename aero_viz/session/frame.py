@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig
-from aero_viz.session.source import Observation, SourceInfo
+from aero_viz.session.source import Observation, RecordedPlan, SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
 if TYPE_CHECKING:
@@ -69,6 +69,11 @@ class Frame:
     def moving_world(self) -> World | None:
         """Synthetic world that is flown in at this tick, with the motion of its obstacles."""
         return self.observation.world or self.source.world
+
+    @property
+    def recorded_plan(self) -> RecordedPlan | None:
+        """Plan that was flown at this tick, from a flight log; `plan` was then computed again, and is not flown."""
+        return None if self.source.recorded_plan is None else self.source.recorded_plan(self.time)
 
     @cached_property
     def world(self) -> World | None:

@@ -89,8 +89,7 @@ class Desk:
             self.restored = session.frame
         self.dashboard.show_only(["drone"])
         self.click("follow")
-        self.page.evaluate("document.querySelectorAll('.mantine-Notification-root button').forEach(b => b.click())")
-        self.wait_for(lambda: self.page.locator(".mantine-Notification-root").count() == 0, "no notifications")
+        self.dismiss_all()
 
     def _settle(self) -> None:
         """Open the first tab, and wait until nothing that was done on the page still has to reach the session."""
@@ -176,6 +175,11 @@ class Desk:
         """Close a notification, so that a later one is not mistaken for it."""
         notification.get_by_role("button").click()
         notification.wait_for(state="detached")
+
+    def dismiss_all(self) -> None:
+        """Close all notifications, also those that never leave by themselves."""
+        self.page.evaluate("document.querySelectorAll('.mantine-Notification-root button').forEach(b => b.click())")
+        self.wait_for(lambda: self.page.locator(".mantine-Notification-root").count() == 0, "no notifications")
 
     def screenshot(self) -> Image:
         """The part of the page between the panels, shape [height, width, 3]."""

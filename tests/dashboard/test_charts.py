@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import Dashboard, palette
 from aero_viz.dashboard.history import COLUMNS
 from aero_viz.dashboard.palette import css
@@ -111,7 +112,7 @@ def test_each_cost_is_named_in_the_colour_of_its_curve(session, dashboard):
     costs = zip(curve.colors, ("all", "goal", "collision"), curve.columns, strict=True)
     for color, name, column in costs:
         value = (plan.stage2_cost if column == "cost" else getattr(plan, column))[plan.best]
-        assert f'<span style="color:{markup.ink(color)}">{name} {value:.4g}</span>' in drawing
+        assert f'<span style="color:{markup.ink(color)}">{name} {cost_text(value)}</span>' in drawing
 
 
 def test_a_curve_of_which_a_log_holds_nothing_is_left_out(session, dashboard, tmp_path):

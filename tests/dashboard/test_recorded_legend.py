@@ -7,6 +7,7 @@ import numpy as np
 from small_source import small_config, small_source
 
 from aero_planner.plan import MovingObstacles
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.layers import ColorKey
 from aero_viz.dashboard.layers.goal import GoalLayer
 from aero_viz.dashboard.layers.motion import MotionLayer
@@ -33,4 +34,4 @@ def test_a_recorded_legend_names_what_is_drawn_at_any_tick_and_has_the_costs_of_
     labels = [entry.label for entry in legend.entries if isinstance(entry, ColorKey)]
     assert labels == ["chosen rollout", "dynamic obstacles, predicted", "goal"]
     costs = [frame.plan.stage2_cost for frame in frames]
-    assert legend.ends == [[(f"worst: {cost.max():.4g}", f"best: {cost.min():.4g}")] for cost in costs]
+    assert legend.ends == [[(f"worst: {cost_text(cost.max())}", f"best: {cost_text(cost.min())}")] for cost in costs]

@@ -10,7 +10,8 @@ import pytest
 from aero_planner import PlannerConfig
 from aero_planner.cost_terms import CostTerms
 from aero_planner.costs import CostTerm
-from aero_viz.dashboard.panels.why_card import card, chart, figure
+from aero_viz.cost_text import cost_text
+from aero_viz.dashboard.panels.why_card import card, chart
 from aero_viz.explain.evidence import Evidence, Replanner
 from aero_viz.flight import FlightSource, VehicleModel
 from aero_viz.scenes import scene
@@ -74,7 +75,7 @@ def test_the_columns_are_as_high_as_the_costs_differ(evidence):
     titles = [unescape(title) for title in re.findall(r'data-instance="\d+" title="([^"]*)"', page)]
     assert len(titles) == len(plan.kinds)
     for m, title in enumerate(titles):
-        assert title.startswith(f"{m} {plan.kinds[m]}: S2 {plan.stage2_cost[m]:.4g}")
+        assert title.startswith(f"{m} {plan.kinds[m]}: S2 {cost_text(plan.stage2_cost[m])}")
         terms = [float(value) for value in re.findall(r" ([-\d.e+]+)(?:,|$)", title.partition(", ")[2])]
         assert sum(terms) == pytest.approx(plan.stage2_cost[m], rel=2e-3, abs=0.5)
 
@@ -83,7 +84,7 @@ def test_a_term_that_somebody_brings_has_its_bar_and_its_row(evidence):
     more = with_term(evidence, 1e3)
     assert "a detour &lt;b&gt;" in chart(more, None) and "a detour" not in chart(evidence, None)
     N = evidence.stage2.values.shape[2]
-    assert table(card(more, 2))["a detour &lt;b&gt;"] == ["", figure(2e3 * N)]
+    assert table(card(more, 2))["a detour &lt;b&gt;"] == ["", cost_text(2e3 * N)]
 
 
 def test_controls_have_the_names_and_bounds_of_the_model(evidence):

@@ -10,11 +10,12 @@ import pytest
 from aero_planner import PlannerConfig, PlanStatus, Sweeps
 from aero_viz.dashboard import palette
 from aero_viz.errors import UserError
+from aero_viz.explain.decision import Decision
 from aero_viz.explain.picture import COLORS, draw_map
 from aero_viz.explain.post_mortem import PostMortem, explain_flight
 from aero_viz.explain.trace import FlightTrace, recorder, trace_of_log
 from aero_viz.explain.visibility import find_seen
-from aero_viz.flight import FlightRules, FlightSource, fly
+from aero_viz.flight import FlightRules, FlightSource, StateNoise, VehicleModel, fly
 from aero_viz.scenes import World, scene
 from aero_viz.scenes.obstacles import new_obstacle, with_obstacle
 from aero_viz.session import Session
@@ -105,7 +106,9 @@ def test_the_report_tells_the_number_of_an_instance_from_a_count(trap):
     report, evidence = explain_flight(trap[0])
     assert evidence is not None and report.braking is not None
     best = int(evidence.plan.best)
-    assert f", and instance {best} ({evidence.plan.kinds[best]}) was flown." in report.format_table()
+    assert (
+        f", and instance {best} ({evidence.plan.kinds[best]}) was flown, with a clearance of " in report.format_table()
+    )
     assert re.search(
         r"\d+ of 16 candidates were safe( \(instances? \d+(, \d+)*\))?, and instance", report.format_table()
     )
@@ -253,3 +256,60 @@ def test_a_flight_that_was_on_its_way_is_not_blamed_for_standing_still():
     assert report.outcome == "timeout" and re.match(
         r"out of time: coming nearer to the goal at \d\.\d m/s", report.cause
     )
+
+
+@pytest.fixture(scope="module")
+def gusty(tmp_path_factory):
+    """A flight that fails with an estimate that is off, and its log."""
+    log, trace = tmp_path_factory.mktemp("gusty") / "gusty.mcap", FlightTrace()
+    config = PlannerConfig().replace({"vehicle.speed_limit": 12.0})
+    vehicle = VehicleModel.from_config(config, drag=0.3, gust_speed=5.0, latency=0.1)
+    noise = StateNoise(position=0.15)
+    world = scene("verticals", count=1000, seed=0)
+    fly(world, config=config, vehicle=vehicle, noise=noise, recorder=recorder(trace, log))
+    return trace, log
+
+
+def test_the_report_on_a_log_has_the_decisions_of_the_log_and_marks_what_is_computed_again(gusty):
+    flown, _ = explain_flight(gusty[0])
+    trace = trace_of_log(gusty[1])
+    frames = {round(frame.time, 3): frame for frame in gusty[0].frames}
+    assert any(frame.plan.best != frames[round(frame.time, 3)].plan.best for frame in trace.frames), "another plan"
+    for frame in trace.frames:
+        decision, plan = Decision.of(frame), frames[round(frame.time, 3)].plan
+        assert (decision.instance, decision.status, decision.kind) == (plan.best, plan.status, plan.kinds[plan.best])
+        assert decision.clearance == pytest.approx(plan.clearance[plan.best].min(), abs=1e-6)
+    report, _ = explain_flight(trace)
+    assert report.braking is not None
+    plan = frames[report.braking.time_s].plan
+    assert f"instance {plan.best} ({plan.kinds[plan.best]}) was flown" in report.format_table()
+    assert f"with a clearance of {plan.clearance[plan.best].min():.2f} m" in report.format_table()
+    assert f"{report.braking.time_s:.2f} s (computed again)" in report.format_table()
+    assert report.cause == flown.cause
+
+
+def test_braking_starts_from_the_true_state_and_the_report_says_what_the_estimate_made_of_it(gusty, replan):
+    trace = FlightTrace()
+    trace.end = gusty[0].end
+    trace.frames.extend(list(gusty[0].frames)[-40:])
+    report, _ = explain_flight(trace)
+    assert report.braking is not None
+    at = next(frame for frame in trace.frames if round(frame.time, 3) == report.braking.time_s).observation
+    off = np.linalg.norm(np.subtract(at.state.position, at.true_state.position))
+    assert report.braking.estimate_off_m == pytest.approx(off, abs=1e-3) and off > 0.05
+    assert report.braking.speed == pytest.approx(np.linalg.norm(at.true_state.velocity))
+    ticks = []
+    for is_true in (True, False):
+        exact = FlightTrace()
+        exact.end = trace.end
+        for frame in trace.frames:
+            seen = frame.observation
+            state = seen.true_state if is_true else seen.state
+            alone = dataclasses.replace(frame, observation=dataclasses.replace(seen, state=state, true_state=None))
+            exact.write(dataclasses.replace(alone, plan=replan(alone).plan) if is_true else alone)
+        braking = explain_flight(exact)[0].braking
+        ticks.append(None if braking is None else braking.time_s)
+    assert [report.braking.time_s, report.braking.estimated_until_s] == ticks
+    text = report.format_table()
+    assert "from which braking from its true state would have worked is" in text
+    assert f"{report.braking.estimate_off_m:.2f} m off at that tick, it would have worked" in text

@@ -34,8 +34,12 @@ def session(source: RecordingSource) -> Iterator[Session]:
 
 
 @pytest.fixture
-def engine(source: RecordingSource) -> Iterator[Engine]:
-    configs = ConfigHistory(small_config())
+def configs() -> ConfigHistory:
+    return ConfigHistory(small_config())
+
+
+@pytest.fixture
+def engine(source: RecordingSource, configs: ConfigHistory) -> Iterator[Engine]:
     engine = Engine(source, configs=configs, device="cpu", seed=0, publish=lambda frame: None)
     yield engine
     engine.close()
@@ -47,9 +51,47 @@ def test_index_of_a_frame_is_its_row_in_the_recording(session: Session, source: 
     assert [session.tick().index for _ in range(5)] == [0, 1, 2, 3, 4]
     for index in (20, 4, 4):
         session.seek(float(times[index])).result()
-        assert session.frame is not None and session.frame.index == index and len(session.frame.trail) == 1
+        assert session.frame is not None and session.frame.index == index
+        assert len(session.frame.trail) == index + 1, "the planner has seen the ticks before it"
     session.step(-3).result()
     assert session.frame.index == 1
+
+
+def test_the_plan_of_a_tick_does_not_depend_on_how_one_came_there(engine: Engine, configs: ConfigHistory):
+    times = engine.source.info.times
+    assert times is not None
+
+    def seek(row: int) -> None:
+        engine.seek(float(times[row]))
+
+    def skip() -> None:
+        engine.skip_to(float(times[20]))
+        engine.tick()
+
+    def move_the_goal() -> None:
+        for goal in ([0.0, 30.0, 2.0], None):
+            engine.alter(lambda source, goal=goal: source.set_goal(goal))
+
+    def change_a_weight() -> None:
+        for q_track in (1.0, before.costs.q_track):
+            configs.change({"costs.q_track": q_track})
+            engine.tick()
+
+    expected = [engine.tick() for _ in range(13)][-1].plan
+    before = engine.planned_config
+    for row, way in ((8, engine.tick), (3, skip), (5, move_the_goal), (6, change_a_weight), (25, engine.tick)):
+        seek(row)
+        way()
+        seek(12)
+        assert engine.frame is not None and engine.frame.index == 12
+        np.testing.assert_array_equal(engine.frame.plan.controls, expected.controls, err_msg=str(way))
+    seek(9)
+    played = [engine.tick() for _ in range(3)][-1]
+    assert played.index == 12
+    np.testing.assert_array_equal(played.plan.controls, expected.controls)
+    seek(20)
+    engine.step_back(8)
+    np.testing.assert_array_equal(engine.frame.plan.controls, expected.controls)
 
 
 def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine):

@@ -256,7 +256,7 @@ def view_targets(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]
     Returns:
         Points [m], shape [n, 3], world frame, and clearances [m], shape [n].
     """
-    recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+    recorded = frame.recorded_plan
     path = frame.plan.positions[int(frame.plan.best)] if recorded is None else recorded.path
     path = np.asarray(path, dtype=np.float64)
     path = path[[len(path) // 2, -1]]

@@ -7,6 +7,7 @@ import viser
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlanStatus
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import (
     Bar,
@@ -72,7 +73,7 @@ class RolloutLayer(Layer):
         quantity = "rank" if self.color_by.value == "rank" else "logarithm"
         label = f"rollouts: {quantity} of the Stage II cost"
         return [
-            ColorScale(label, f"worst: {cost.max():.4g}", f"best: {cost.min():.4g}", palette.COST),
+            ColorScale(label, f"worst: {cost_text(cost.max())}", f"best: {cost_text(cost.min())}", palette.COST),
             ColorKey("chosen rollout", palette.CHOSEN),
         ]
 
@@ -86,9 +87,9 @@ class RolloutLayer(Layer):
         bars = [
             Bar(
                 height=float(height[i]),
-                tooltip=f"{i} {kind}: S2 {plan.stage2_cost[i]:.4g} = goal {plan.goal_cost[i]:.4g} + collision "
-                f"{plan.collision_cost[i]:.4g} + other terms {others[i]:.4g}; "
-                f"clearance {clearance[i]:.2f} m{_origin(frame, i)}",
+                tooltip=f"{i} {kind}: S2 {cost_text(plan.stage2_cost[i])} = goal {cost_text(plan.goal_cost[i])} + "
+                f"collision {cost_text(plan.collision_cost[i])} + other terms {cost_text(others[i])}; "
+                f"clearance of the plan {clearance[i]:.2f} m{_origin(frame, i)}",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
                 is_faint=bool(is_faint[i]),

@@ -260,6 +260,6 @@ class RecordedPlanLayer(Layer):
         return self._lines.show(np.zeros((0, 2, 3)), _RECORDED_PLAN)
 
     def update(self, frame: Frame) -> list[Change]:
-        recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+        recorded = frame.recorded_plan
         path = np.zeros((0, 3), np.float32) if recorded is None else recorded.path
         return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED_PLAN)

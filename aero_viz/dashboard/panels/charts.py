@@ -14,6 +14,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import COLUMNS, Event, Past, is_clearance_true
 from aero_viz.dashboard.layers import Change
@@ -51,8 +52,8 @@ class Curve:
     label: str
     columns: tuple[str, ...]
     colors: tuple[palette.Rgb, ...]
-    number: str
-    """Format of a value."""
+    digits: int | None
+    """Digits after the point; None for costs."""
     top: float | None = None
     """Upper end of the axis; None takes the largest value."""
     names: tuple[str, ...] = ()
@@ -61,19 +62,23 @@ class Curve:
     has_outliers: bool = False
     """The axis leaves out the largest values, so that they do not flatten the others."""
 
+    def text(self, value: float) -> str:
+        """Return a value as text."""
+        return cost_text(value) if self.digits is None else f"{value:.{self.digits}f}"
+
 
 CURVES = (
-    Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
-    Curve("clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
+    Curve("speed [m/s]", ("speed",), (palette.NOSE,), 2),
+    Curve("clearance [m]", ("clearance",), (palette.CHOSEN,), 2, top=CLEARANCE_MAX),
     Curve(
         "chosen S2 (log)", ("cost", "goal_cost", "collision_cost"),
-        (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", names=("all", "goal", "collision"), is_log=True,
+        (palette.DRONE, palette.GUIDE, palette.BAD), None, names=("all", "goal", "collision"), is_log=True,
     ),
-    Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f", has_outliers=True),  # the first plan compiles kernels
+    Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), 1, has_outliers=True),  # the first plan compiles kernels
     Curve(
-        "candidates", ("safe", "clear"), (palette.GOOD, palette.GUIDE), ".0f", names=("safe", "with clearance"),
+        "candidates", ("safe", "clear"), (palette.GOOD, palette.GUIDE), 0, names=("safe", "with clearance"),
     ),
-    Curve("effective samples", ("samples",), (palette.RECORDED,), ".1f"),
+    Curve("effective samples", ("samples",), (palette.RECORDED,), 1),
 )  # fmt: skip
 
 
@@ -213,7 +218,7 @@ def _curve(curve: Curve, past: Past, span: tuple[float, float], gap: float, at: 
                 )
         return drawn
 
-    values = [f"{past.rows[at, index]:{curve.number}}" for index in indices]
+    values = [curve.text(past.rows[at, index]) for index in indices]
     is_beyond = curve.top is not None and past.rows[at, indices[0]] >= curve.top
     ghost = _ghost_value(curve, past, indices, float(past.rows[at, 0]))
     value = "" if curve.names else f"{'≥ ' if is_beyond else ''}{values[0]}"
@@ -242,7 +247,7 @@ def _ghost_value(curve: Curve, past: Past, indices: list[int], time: float) -> s
     if at < 0 or past.ghost[-1, 0] < time - _GAP:
         return ""
     name = "before" if past.ghost_name == "before" else "A"
-    return f" ({name} {past.ghost[at, indices[0]]:{curve.number}})"
+    return f" ({name} {curve.text(past.ghost[at, indices[0]])})"
 
 
 def _scaled(curve: Curve, values: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig, PlanStatus
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
@@ -125,10 +126,10 @@ def _plan(frame: Frame) -> tuple[str, ...]:
     clear = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
     return (
         f"{best} {plan.kinds[best]}",
-        f"{s2:.5g}",
-        f"{goal:.5g}",
-        f"{collision:.5g}",
-        f"{s2 - goal - collision:.5g}",
+        cost_text(s2),
+        cost_text(goal),
+        cost_text(collision),
+        cost_text(s2 - goal - collision),
         f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
         f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
         _safe_count(frame),

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from aero_planner import PlanStatus
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change, legend_entries
 from aero_viz.dashboard.panels import markup
@@ -58,7 +59,7 @@ class StatusPanel(Panel):
         ]
 
     def _state(self, frame: Frame) -> str:
-        recorded = None if frame.source.recorded_plan is None else frame.source.recorded_plan(frame.time)
+        recorded = frame.recorded_plan
         status = PlanStatus(int(np.asarray(frame.plan.status))) if recorded is None else recorded.status
         pills = [markup.pill(*_STATUS[status])]
         if frame.outcome is not None:
@@ -102,8 +103,8 @@ class StatusPanel(Panel):
 def _recorded(plan: RecordedPlan) -> str:
     best = plan.best
     return markup.text(
-        f"recorded plan: instance {best} ({plan.kinds[best]}), S2 {plan.stage2_cost[best]:.4g}, "
-        f"clearance {plan.clearance[best]:.2f} m"
+        f"recorded plan: instance {best} ({plan.kinds[best]}), S2 {cost_text(plan.stage2_cost[best])}, "
+        f"clearance of the plan {plan.clearance[best]:.2f} m"
     )
 
 
@@ -128,7 +129,7 @@ def _figures(frame: Frame) -> str:
             ("speed", f"{np.linalg.norm(np.asarray(state.velocity)):.1f}", "m/s"),
             _height(frame, float(position[2])),
             ("distance to goal", f"{goal_distance:.1f}", "m"),
-            ("clearance", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
+            ("clearance of the plan", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
             ("filtered points", f"{len(frame.plan.filtered_points) - continued}", f"/{points}"),
             ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
@@ -157,6 +158,6 @@ def _stages(frame: Frame) -> str:
     stages = {name: ms for name, ms in frame.plan.stage_ms.items() if name != "total"}
     colors = palette.as_rgb(palette.VIRIDIS[np.linspace(70, 245, max(len(stages), 2)).astype(int)])
     parts = [(name, ms, color) for (name, ms), color in zip(stages.items(), colors, strict=False)]
-    total = frame.plan.stage_ms.get("total", sum(stages.values()))
+    total = frame.timings_ms.get("plan", 0.0)
     heading = markup.heading("plan", f"{total:.1f} ms = {1e3 / max(total, 1e-3):.0f} Hz")
     return heading + markup.stacked(parts, "ms")

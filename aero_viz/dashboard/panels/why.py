@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from aero_planner.mailbox import Mailbox
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.selection import SelectionLayer
@@ -158,11 +159,11 @@ class WhyPanel(Panel):
 
 def _recorded(frame: Frame) -> list[str]:
     """Return the parts of the flown plan that a log holds, and those that it lacks."""
-    if frame.source.recorded_plan is None or (plan := frame.source.recorded_plan(frame.time)) is None:
+    if (plan := frame.recorded_plan) is None:
         return []
     text = (
         f"The log holds S2 and clearance of each recorded instance ({plan.best} {plan.kinds[plan.best]}: S2 "
-        f"{plan.stage2_cost[plan.best]:.4g}, {plan.clearance[plan.best]:.2f} m), but neither terms nor samples: what "
-        "follows explains the live planner on the recorded cloud."
+        f"{cost_text(plan.stage2_cost[plan.best])}, {plan.clearance[plan.best]:.2f} m), but neither terms nor "
+        "samples: what follows explains the live planner on the recorded cloud."
     )
     return [markup.muted(text)]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from aero_planner import registry
 from aero_planner.cost_terms import CostTerms
 from aero_planner.models.vehicle_model import VehicleModel
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 from aero_viz.dashboard.panels import markup
@@ -38,8 +39,8 @@ def chart(evidence: Evidence, selected: int | None) -> str:
             for color, part in zip(colors, excess[:, m], strict=True)
             if part > 0.0
         )
-        label = f"{m} {kind}: S2 {plan.stage2_cost[m]:.4g}, " + ", ".join(
-            f"{name} {value:.4g}" for name, value in zip(names, terms[:, m], strict=True) if value
+        label = f"{m} {kind}: S2 {cost_text(plan.stage2_cost[m])}, " + ", ".join(
+            f"{name} {cost_text(value)}" for name, value in zip(names, terms[:, m], strict=True) if value
         )
         mark = palette.SELECTED if m == selected else palette.CHOSEN if m == plan.best else None
         outline = "" if mark is None else f";outline:2px solid {css(mark)}"
@@ -75,8 +76,8 @@ def card(evidence: Evidence, instance: int) -> str:
             _plot("S1 of its best sample over the steps", [first.sum(axis=0)], is_log=True),
             _plot("S2 over the steps", [second.sum(axis=0)], is_log=True),
             _plot(
-                f"clearance [m]: least {distance:.2f} at {time:.2f} s, {name}; dashed: {asked:.2f} is asked at rest, "
-                f"from {config.costs.distance_max:.2f} on it costs nothing",
+                f"clearance of its rollout [m]: least {distance:.2f} at {time:.2f} s, {name}; dashed: {asked:.2f} is "
+                f"asked at rest, from {config.costs.distance_max:.2f} on it costs nothing",
                 [np.minimum(evidence.distance[instance], 2.0)],
                 bounds=(asked, config.costs.distance_max),
                 low=0.0,
@@ -95,19 +96,14 @@ def _table(evidence: Evidence, instance: int) -> str:
     rows = ""
     for name, label in labels.items():
         if any(by_term.get(name) for by_term in sums):
-            left, right = (figure(by_term[name]) if name in by_term else "" for by_term in sums)
+            left, right = (cost_text(by_term[name]) if name in by_term else "" for by_term in sums)
             rows += f"<div>{markup.muted(label)}</div><div>{left}</div><div>{right}</div>"
     first, second = (sum(by_term.values()) for by_term in sums)
     return (
         '<div class="aero-term-table" style="display:grid;grid-template-columns:1fr auto auto;gap:1px 12px;'
         f'text-align:right;margin:6px 0"><div></div><div>S1</div><div>S2</div>{rows}'
-        f"<div>all</div><div>{figure(first)}</div><div>{figure(second)}</div></div>"
+        f"<div>all</div><div>{cost_text(first)}</div><div>{cost_text(second)}</div></div>"
     )
-
-
-def figure(value: float) -> str:
-    """Return a cost with four digits, or as a whole number."""
-    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
 
 
 def _sums(costs: CostTerms, row: int) -> dict[str, float]:
@@ -173,7 +169,7 @@ def _plot(
         x = np.linspace(0.0, _WIDTH, len(curve))
         points = " ".join(f"{a:.1f},{y(b):.1f}" for a, b in zip(x, curve, strict=True))
         lines += f'<polyline points="{points}" fill="none" stroke="{css(palette.SELECTED)}" stroke-width="1.6"/>'
-    ends = f"{curves[0].min():.3g} .. {curves[0].max():.3g}"
+    ends = f"{cost_text(curves[0].min())} .. {cost_text(curves[0].max())}"
     return (
         f'<div style="font-size:11px">{markup.heading(label, ends)}</div><svg class="aero-plot" '
         f'viewBox="0 0 {_WIDTH} {_HEIGHT}" preserveAspectRatio="none" '
