@@ -4,11 +4,12 @@ from typing import Any
 
 import warp as wp
 
-import aero_viz.flight
-from aero_planner import PlannerConfig, registry
+import aero_planner
+from aero_planner import registry
 from aero_planner.device.quintics import Quintic, guide_position
 from aero_planner.device.rotations import heading, quat_from_heading, wrap_angle
 from aero_planner.models import VehicleModel
+from aero_viz import flight
 from aero_viz.scenes import scene
 
 LEAD = wp.constant(0.3)  # how far the robot looks ahead on a guide [s]
@@ -53,7 +54,6 @@ def follow(
 controls = ("speed", "m/s"), ("yaw_rate", "rad/s"), ("unused_1", ""), ("unused_2", "")
 robot = VehicleModel("robot", "Ground robot", controls, clamp, noise, constants, step, acceleration, follow)
 registry.add("models", "robot", robot)  # before the configuration is made
-config = PlannerConfig().replace({"vehicle.model": "robot", "vehicle.speed_limit": 1.5, "anchors.rows": 1})
-rules = aero_viz.flight.FlightRules(arrival_radius=0.3)
-result = aero_viz.flight.fly(scene("pillars", seed=1), config=config, rules=rules)
+config = aero_planner.PlannerConfig().replace({"vehicle.model": "robot", "vehicle.speed_limit": 1.5, "anchors.rows": 1})
+result = flight.fly(scene("pillars", seed=1), config=config, rules=flight.FlightRules(arrival_radius=0.3))
 print(f"{result.reason} after {result.length_m:.1f} m, at least {result.min_clearance:.2f} m from all pillars")
