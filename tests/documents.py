@@ -10,13 +10,15 @@ IGNORED = (ROOT / ".gitignore").read_text(encoding="utf-8").split()
 """Folders that are made, not kept, with a slash at the end."""
 
 
-def _find() -> Iterator[Path]:
+def _walk() -> Iterator[str]:
     for folder, names, files in os.walk(ROOT):
         names[:] = [name for name in names if not name.startswith(".") and f"{name}/" not in IGNORED]
-        yield from (Path(folder, name) for name in files if name.endswith(".md"))
+        yield from (f"{Path(folder, name).relative_to(ROOT)}" for name in (*names, *files))
 
 
-TEXTS = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in sorted(_find())}
+PATHS = sorted(_walk())
+"""Files and folders from the root of the repository."""
+TEXTS = {path: (ROOT / path).read_text(encoding="utf-8") for path in PATHS if path.endswith(".md")}
 """Text of each document by its path."""
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
