@@ -1,14 +1,25 @@
 """The documents of the repository, and what is in them."""
 
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENTS = sorted(
-    path for folder in ("", "docs", "datasets", "planner", "planner/cpp") for path in (ROOT / folder).glob("*.md")
-)
-TEXTS = {str(path.relative_to(ROOT)): path.read_text(encoding="utf-8") for path in DOCUMENTS}
+IGNORED = (ROOT / ".gitignore").read_text(encoding="utf-8").split()
+"""Folders that are made, not kept, with a slash at the end."""
+
+
+def _walk() -> Iterator[str]:
+    for folder, names, files in os.walk(ROOT):
+        names[:] = [name for name in names if not name.startswith(".") and f"{name}/" not in IGNORED]
+        yield from (f"{Path(folder, name).relative_to(ROOT)}" for name in (*names, *files))
+
+
+PATHS = sorted(_walk())
+"""Files and folders from the root of the repository."""
+TEXTS = {path: (ROOT / path).read_text(encoding="utf-8") for path in PATHS if path.endswith(".md")}
+"""Text of each document by its path."""
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
