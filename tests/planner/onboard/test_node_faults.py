@@ -146,7 +146,7 @@ def test_a_lost_position_brakes_at_once_and_hands_back(flight: Simulation, lost:
     flight.run(limits.brake_time)
     assert states(flight)[2:] == ["BRAKING", "HANDED_BACK"]  # it holds no position that it does not know
     np.testing.assert_allclose(flight.link.sent[-1][1], [9.81, 0.0, 0.0, 0.0], atol=1e-9)
-    assert flight.motion.speed < 0.15 and clearance(flight) > 0.0
+    assert flight.motion.speed < 0.1 and clearance(flight) > 0.0
 
 
 def test_a_short_gap_in_the_states_is_bridged(flight: Simulation):
