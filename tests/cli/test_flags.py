@@ -57,8 +57,11 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
 
 
 def test_flags_and_files_of_the_last_release_are_accepted_with_a_notice(tmp_path, caplog: pytest.LogCaptureFixture):
-    arguments = ["--escape.radius", "3", "--candidates.prove-stop", "off", "--vehicle.rate_xy_lag=0.07"]
-    assert replace_renamed_flags(arguments) == ["--way-out.radius", "3", "--vehicle.rate-lag=0.07"]
+    arguments = ["forest", "--escape.radius", "3", "--candidates.prove-stop", "off", "--candidates.brake=true"]
+    arguments += ["--vehicle.rate_xy_lag=0.07", "--speed", "4"]
+    current = ["forest", "--way-out.radius", "3", "--vehicle.rate-lag=0.07", "--speed", "4"]
+    assert replace_renamed_flags(arguments) == current
+    assert "candidates.brake is ignored: flights without it arrive as often" in caplog.text
     assert "escape.radius is now way_out.radius" in caplog.text
     assert "candidates.prove_stop is ignored: stop_proof.prove_stop switches the stop proof" in caplog.text
     caplog.clear()

@@ -183,6 +183,7 @@ def test_a_full_disk_behind_stdout_is_reported_in_one_line():
     [
         ["inspect", "missing.bag"],
         ["fly", "forrest"],
+        ["fly", "forest", "--no-headless"],
         ["convert", "missing.bag", "out.mcap"],
         ["explain", "no.mcap"],
     ],

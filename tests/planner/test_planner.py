@@ -83,6 +83,7 @@ def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, see
     assert_consistent(plan, case, config)
     x = reference.roll_out(case.position, case.quaternion, case.velocity, plan.controls[plan.best], config)
     # What rates of 3 rad/s leave of 5 m/s: the attitude follows the guide with a lag, to the side even more.
+    assert plan.braking is not None and np.linalg.norm(plan.braking.velocities[0, -1]) < 1.5
     assert np.linalg.norm(x.v[-1]) < {"default": 1.5, "paper": 2.0}[preset]
     # It is what the next plan continues with.
     np.testing.assert_array_equal(planner.history().arrays["previous_controls"][0], plan.controls[plan.best])

@@ -98,6 +98,14 @@ def test_running_terms(device: str, steps: int):
         assert values.any() or steps < 9
 
 
+def test_speed_costs_beyond_the_limit(device: str):
+    config = PlannerConfig().replace({"vehicle.speed_limit": 5.0, "costs.q_speed": 10.0})
+    records, _ = random_steps(np.random.default_rng(0), 6)
+    records["v"] = [(0, 0, 0), (3, 4, 0), (0, 0, 6), (-8, 0, 6), (0, 3, -2), (0, 0, -6)]
+    found = evaluate(kernel_of(BY_NAME["speed_limit"].running, Step), device, records, Step, config)
+    np.testing.assert_allclose(found, [0.0, 0.0, 10.0, 250.0, 0.0, 10.0], rtol=1e-5, atol=1e-6)
+
+
 def test_the_previous_plan_tracks_no_guide(device: str):
     records, _ = random_steps(np.random.default_rng(0), 5)
     records["is_guided"] = 0

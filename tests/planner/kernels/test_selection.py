@@ -1,9 +1,17 @@
 """Stage II: which instance is selected, and what replaces it."""
 
+# Postponed annotations are left out: the kernel below refers to local types.
+
+from typing import Any
+
 import numpy as np
 import pytest
+import warp as wp
 
 from aero_planner import Plan, Planner, PlanStatus
+from aero_planner.device.params import Params
+from aero_planner.device.records import Scores, bundle
+from aero_planner.kernels.selection import dynamic_allowance
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, random_case
 
@@ -47,17 +55,17 @@ def test_a_fast_drone_keeps_a_margin(device: str, margin: float):
 
 
 def next_to_a_wall() -> Case:
-    """Return a fast drone with a wall beside its way."""
+    """Return a fast drone with a wall across its way, which is nearer on its left."""
     case = random_case(0, count=0, tilt=0.0)
     case.velocity, case.acceleration, case.goal = np.array([6.0, 0, 0]), np.zeros(3), case.beside(20, 0, 0)
-    y, z = np.meshgrid(np.arange(-0.3, 6, 0.05), np.arange(-6, 6, 0.05))
-    wall = np.stack((np.full_like(y, 2.4), y, z), axis=-1).reshape(-1, 3)
+    y, z = np.meshgrid(np.arange(-6, 6, 0.05), np.arange(-6, 6, 0.05))
+    wall = np.stack((3.1 - y, y, z), axis=-1).reshape(-1, 3)
     case.points = (wall + case.position).astype(np.float32)
     return case
 
 
 def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
-    """Next to a wall, braking turns away from it."""
+    """Next to a wall, braking turns away from it, and ends as slow as straight ahead."""
     # Too wide a berth for any candidate, so that it brakes.
     config = config_of(candidates__safe_clearance=1.5, costs__distance_max=3.0, stages__active="")
     case, planner = next_to_a_wall(), Planner(config, device=device)
@@ -71,6 +79,9 @@ def test_the_braking_candidate_with_the_largest_clearance_is_flown(device: str):
     flown = int(np.argmax(nearest))
     np.testing.assert_array_equal(plan.positions[plan.best], plan.braking.positions[flown])
     assert flown > 0 and nearest[flown] > nearest[0] + 0.01
+    assert np.linalg.norm(plan.velocities[plan.best, -1]) < 2.0
+    assert plan.positions[plan.best, -1, 1] - case.position[1] < -0.2
+    assert abs(plan.braking.positions[0, -1, 1] - case.position[1]) < 0.1
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -85,3 +96,25 @@ def test_a_replaced_instance_shows_what_replaces_it(device: str, seed: int):
         np.testing.assert_array_equal(getattr(plan, name)[m], getattr(o, name).numpy()[0, row], err_msg=name)
     for name in ("stage2_cost", "goal_cost", "collision_cost"):
         assert getattr(plan, name)[m] == getattr(o, name).numpy()[0, row]
+
+
+AllScores: Any = Scores
+
+
+@wp.kernel
+def allowance_kernel(scores: AllScores, params: wp.array(dtype=Params), out: wp.array(dtype=float)):
+    m = wp.tid()
+    out[m] = dynamic_allowance(0, m, scores, params[0])
+
+
+def test_dynamic_obstacles_near_the_start_may_come_nearer_but_static_ones_may_not(device: str):
+    """The starts are clearances from all and from static obstacles: nothing near, a dynamic one, a static one, both."""
+    planner = Planner(config_of(candidates__safe_clearance=0.35), device=device)
+    starts = np.array([(1.0, 1.0), (0.1, 1.0), (0.1, 0.1), (0.1, 0.32)])
+    # Of two states, the last one is the start.
+    both = (np.stack((np.full(4, 5.0), start), axis=1)[None] for start in starts.T)
+    everything, static = (wp.array(clearance, dtype=float, device=device) for clearance in both)
+    out = wp.zeros(4, dtype=float, device=device)
+    scores = bundle(Scores, state_clearance=everything, static_clearance=static)
+    wp.launch(allowance_kernel, 4, inputs=[scores, planner.params, out], device=device)
+    np.testing.assert_allclose(out.numpy(), [0.0, 0.35 - 0.08, 0.0, 0.3 - 0.08], atol=1e-6)

@@ -130,7 +130,6 @@ def test_drag_is_found_in_a_disturbance_that_is_given(device: str):
 @pytest.mark.parametrize("delay", [0.0, 0.05])
 def test_guides_rollouts_and_stops_count_on_them(device: str, delay: float, drag: float):
     changes = {"disturbance__disturbance_time": 0.01, "disturbance__drag_time": 0.01, "vehicle__delay": delay}
-    changes |= {"sampling__variance_thrust": 1.0}  # the estimates depend on the commands of the plans before
     planner = make_planner(device, **changes)
     config, velocity, wind = planner.config, np.array([2.0, 1.0, 0.5]), np.array([0.5, -0.8, 0.6])
     plan = plan_in_wind(planner, wind, velocity=velocity, drag=drag)
@@ -140,7 +139,7 @@ def test_guides_rollouts_and_stops_count_on_them(device: str, delay: float, drag
     position, velocity, quaternion = (
         getattr(work, name).numpy()[0].astype(np.float64) for name in ("position", "velocity", "quaternion")
     )
-    assert np.linalg.norm(disturbance) > 0.5 and (k > 0.05) == (drag > 0.0)
+    assert np.linalg.norm(disturbance) > 0.5 and (k > 0.1) == (drag > 0.0)
     for m in range(config.anchor_count):
         forward = reference.rotation(quaternion)[:, 0]
         yaw = np.arctan2(3.0 - position[1], 20.0 - position[0]) - np.arctan2(forward[1], forward[0])

@@ -51,7 +51,9 @@ def test_rollouts_that_end_near_places_without_progress_cost_more(device: str, r
     nearest = float(history["place_nearest"][0])
     expected = [reference.J_escape(p, places, nearest, case.goal, planner.config) for p in ends]
     np.testing.assert_allclose(last.stage2_cost - last.goal_cost, expected, rtol=1e-4, atol=0.02)
+    full = [reference.J_escape(p, places, 0.0, case.goal, planner.config) for p in ends]
     assert len(places) >= 2 and max(expected) > 100.0
+    assert nearest == 3.0 and sum(expected) < 0.8 * sum(full), "ends that are nearer to the goal cost less"
 
 
 @pytest.mark.parametrize("aside", [0.0, 1.0])
