@@ -22,15 +22,15 @@ _SHIPPED = {
     "forest_mid360": "recorded flight through the forest, Mid-360",
     "room_mid360": "one recorded second in a room, Mid-360",
 }
-"""Recordings in datasets/, with descriptions; `aero-viz play` opens the first. datasets/make.py writes them."""
+"""Recordings that ship, with descriptions; `aero-viz play` opens the first. datasets/make.py writes them."""
+SHIPPED_FOLDER = Path(__file__).parent / "datasets"
+"""Folder of these recordings, a part of the package."""
 _BAGS = (".mcap", ".db3", ".bag")
 
 
 def shipped_recordings() -> dict[str, tuple[Path, str]]:
-    """Return paths and descriptions of the recordings that ship with a checkout, by name; empty for a bare wheel."""
-    folder = Path(__file__).resolve().parents[1] / "datasets"
-    paths = {name: folder / f"{name}.mcap" for name in _SHIPPED}
-    return {name: (path, _SHIPPED[name]) for name, path in paths.items() if path.is_file()}
+    """Return paths and descriptions of the recordings that ship, by name."""
+    return {name: (SHIPPED_FOLDER / f"{name}.mcap", text) for name, text in _SHIPPED.items()}
 
 
 def is_map(spec: str) -> bool:

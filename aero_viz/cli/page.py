@@ -132,10 +132,7 @@ def play(
     from aero_viz.scenes.map_files import MESH_SUFFIXES
 
     if recording is None:
-        shipped = shipped_recordings()
-        if not shipped:
-            raise UserError("no recording ships with this installation; give a file, or run play in a checkout.")
-        recording = str(next(iter(shipped.values()))[0])
+        recording = str(next(iter(shipped_recordings().values()))[0])
     if Path(recording).suffix.lower() in (*MESH_SUFFIXES, ".json"):
         raise UserError(f"{recording} is a world, not a recording; fly it with: aero-viz demo {recording}")
     if not Path(recording).exists():
@@ -351,7 +348,7 @@ def _choices() -> list[tuple[str, str]]:
 
 
 def _folders(spec: str, page_flags: PageFlags) -> list[Path]:
-    """Return the folders that the page may open: those of the flags, that of the first file, and datasets/.
+    """Return the folders that the page may open: of the flags, of the first file, datasets/, and what ships.
 
     Raises:
         UserError: a folder of the flags does not exist.
@@ -359,5 +356,7 @@ def _folders(spec: str, page_flags: PageFlags) -> list[Path]:
     for folder in page_flags.folder:
         if not folder.expanduser().is_dir():
             raise UserError(f"{folder} is not a folder; give --folder a folder whose files the page may open.")
+    from aero_viz.catalog import SHIPPED_FOLDER
+
     first = [Path(spec).resolve().parent] if Path(spec).exists() else []
-    return [*page_flags.folder, *first, Path("datasets"), Path(__file__).parents[2] / "datasets"]
+    return [*page_flags.folder, *first, Path("datasets"), SHIPPED_FOLDER]

@@ -8,6 +8,7 @@ import math
 import sys
 from collections.abc import Sequence
 
+from aero_planner.cli_util import Parser
 from aero_planner.plain_text import say
 from aero_viz.rig.px4_log import Px4LogSummary
 from aero_viz.rig.result import RigResult
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="aero-planner rig",
         description="Fly the node in real time against a simulated PX4 autopilot and Livox Mid-360, over UDP on "
         "127.0.0.1. The exit code is 0 whatever the outcome of the flight, and 2 for a mistake in the arguments.",

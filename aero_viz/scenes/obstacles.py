@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -98,7 +99,7 @@ class Obstacle:
 
     def turned(self, yaw: float) -> Obstacle:
         """Return a box with another `yaw` [rad], another solid unchanged."""
-        return Obstacle(self.kind, np.append(self.values[:6], yaw)) if self.kind == "boxes" else self
+        return Obstacle(self.kind, np.append(self.values[:6], math.remainder(yaw, math.tau))) if self.kind == "boxes" else self
 
 
 def new_obstacle(kind: str, center: ArrayLike, size: ArrayLike) -> Obstacle:

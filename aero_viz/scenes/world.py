@@ -338,7 +338,9 @@ def _check_ranges(table: NDArray[np.float64], where: str, columns: str) -> None:
         values = table[:, j]
         if name in ("radius", "height", "sx", "sy", "sz"):
             wrong, expected = ~((values > 0.0) & (values <= _SIZE_MAX)), f"greater than 0 and at most {_SIZE_MAX:g} m"
-        elif name not in ("ax", "ay", "az", "yaw"):
+        elif name == "yaw":
+            wrong, expected = np.abs(values) > 2.0 * np.pi, "an angle [rad] within 2 pi of 0; 90 deg are 1.5708"
+        elif name not in ("ax", "ay", "az"):
             wrong, expected = np.abs(values) > _COORDINATE_MAX, f"within {_COORDINATE_MAX:g} m of the origin"
         else:
             continue

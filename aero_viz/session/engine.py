@@ -132,9 +132,7 @@ class Engine:
             raise
 
     def seek(self, time: float) -> None:
-        """Go to the tick at or before `time` [s]; ValueError unless it is finite."""
-        if not np.isfinite(time):
-            raise ValueError(f"time is {time}; it must be a finite number [s].")
+        """Go to the tick at or before `time` [s]."""
         if (times := self.source.info.times) is not None:
             self._go_to_row(times, max(_row(times, time), 0))
         elif self._timeline:

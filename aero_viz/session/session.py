@@ -129,7 +129,12 @@ class Session(BaseSession):
         """Go to the tick at or before `time` [s].
 
         A flight can return to any tick flown so far, and continue differently from there.
+
+        Raises:
+            ValueError: the time is not a finite number.
         """
+        if not np.isfinite(time):
+            raise ValueError(f"time is {time}; it must be a finite number [s].")
 
         def command() -> None:
             self._engine.seek(time)
@@ -155,7 +160,7 @@ class Session(BaseSession):
             quiet: report a refusal in the future only, without a notice; for one of many positions in a row.
 
         Raises:
-            ValueError: the position is not three finite numbers.
+            ValueError: the position is not three finite numbers. A refusal by the source is in the future, and logged.
         """
         goal = np.asarray(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import json
 import resource
@@ -15,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner.cli_util import run_command
+from aero_planner.cli_util import Parser, run_command
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import config_from_name
 from aero_planner.forest_cloud import forest_flight
@@ -190,7 +189,7 @@ def _format_report(result: dict[str, Any], preset: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code: 0, or 2 for a wrong argument."""
-    parser = argparse.ArgumentParser(prog="python -m aero_planner.benchmark", description=__doc__)
+    parser = Parser(prog="python -m aero_planner.benchmark", description=__doc__)
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0")
     parser.add_argument("--batch", type=int, default=1, help="number of drones planned at once")
     parser.add_argument("--points", type=int, default=200_000, help="points of each cloud")

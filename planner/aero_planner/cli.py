@@ -17,7 +17,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from aero_planner.cli_util import INTERRUPTED, abandon_output, installed_version, quick_imports
+from aero_planner.cli_util import INTERRUPTED, Parser, abandon_output, installed_version, quick_imports
 from aero_planner.plain_text import in_own_words, one_line, say
 from aero_planner.termination import install_handler
 
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def make_parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     epilog = f"Commands of other packages: {', '.join(added_commands)}." if added_commands else None
-    parser = argparse.ArgumentParser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
+    parser = Parser(prog="aero-planner", description="Fly with the AERO-MPPI planner.", epilog=epilog)
     parser.add_argument("--version", action="version", version=f"aero-planner {installed_version('aero-planner')}")
     parser.set_defaults(module=None)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import gc
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from typing import NoReturn
 
 from aero_planner.plain_text import say
 from aero_planner.termination import install_handler
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C or SIGTERM."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors are one sentence."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise a ValueError."""
+        raise ValueError(f"{message}; see {self.prog} --help.")
 
 
 @contextlib.contextmanager

@@ -1,4 +1,4 @@
-"""The recordings that ship in datasets/."""
+"""The recordings that ship with the package."""
 
 import json
 from pathlib import Path

@@ -11,14 +11,14 @@ from typing import Any
 from PIL import Image
 
 from aero_planner import PlannerConfig
-from aero_viz.catalog import open_source
+from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.dashboard.snapshot import launch_chromium
 from tests.browser.desk import Desk, open_desk
 
 ROOT = Path(__file__).resolve().parents[2]
 STATIC = {"dashboard": 1120, "failure": 880, "arrived": 880}
 """Views that the README and the docs show, from static/, with their widths there [pixels]."""
-RECORDING = ROOT / "datasets" / "forest_mid360.mcap"
+RECORDING = shipped_recordings()["forest_mid360"][0]
 
 
 def _nothing(desk: Desk) -> None:

@@ -59,6 +59,19 @@ def test_import_is_light_and_leaves_cuda_alone():
     assert result.stdout == "[]\n" and result.stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("words", "problem"),
+    [
+        (["run", "--foo"], "unrecognized arguments: --foo; see aero-planner --help."),
+        (["export"], "the following arguments are required: OUT[.tar]; see aero-planner export --help."),
+        (["run", "--threads", "x"], "argument --threads: invalid int value: 'x'; see aero-planner run --help."),
+        (["rig"], "the following arguments are required: world; see aero-planner rig --help."),
+    ],
+)
+def test_wrong_arguments_are_reported_in_one_sentence(call: Callable[..., Outcome], words: list[str], problem: str):
+    assert call(*words) == (2, "", f"aero-planner: {problem}\n")
+
+
 def test_help_lists_the_commands(call: Callable[..., Outcome]):
     code, out, _ = call("--help")
     assert code == 0 and all(command in out for command in ("run", "preflight", "config"))

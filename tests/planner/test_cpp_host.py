@@ -251,3 +251,15 @@ def test_an_unknown_or_absent_device_is_reported(example: Path, tmp_path: Path, 
 def test_bad_inputs_are_reported(ask: Callable[..., Outcome], bundle: Path, requests: bytes, problem: str):
     done = ask(bundle, requests)
     assert done.returncode == 2 and problem in done.stderr
+
+
+@pytest.mark.parametrize("cloud", [np.zeros((0, 3)), np.full((9, 3), np.nan), np.full((9, 3), 4e3)])
+def test_clouds_that_show_nothing_become_stale(
+    ask: Callable[..., Outcome], bundle: Path, tmp_path: Path, cloud: np.ndarray
+):
+    times = (0.0, 0.3, 0.6)
+    done = ask(bundle, b"".join(record(state_of((0, 0, 2), (1, 0, 0), time), (20, 0, 2), cloud) for time in times))
+    assert done.returncode == 0, done.stderr
+    answers = (tmp_path / "answers").read_bytes()
+    statuses = [struct.unpack_from("<i", answers, k * len(answers) // len(times))[0] for k in range(len(times))]
+    assert statuses == [PlanStatus.OK, PlanStatus.OK, PlanStatus.STALE_CLOUD]

@@ -180,6 +180,12 @@ def test_ground_height():
     assert World("below", *ends, boxes=below).ground_height == -0.5
 
 
+@pytest.mark.parametrize("yaw", [90.0, -45.0, 6.3])
+def test_an_angle_in_degrees_is_refused(yaw: float):
+    with pytest.raises(ValueError, match=r'"boxes" row 1 has yaw = .*it must be an angle \[rad\] .* 90 deg are 1.5708'):
+        World("w", np.zeros(3), np.ones(3), boxes=np.array([[0.0, 0, -1, 9, 9, 1, 6.28], [5.0, 0, -1, 1, 1, 1, yaw]]))
+
+
 def test_ground_is_still_ground_if_the_goal_lies_below_it():
     start, floor, deck = np.array([0.0, 0, 2]), [5.0, 0, -1, 40, 40, 1, 0], [5.0, 0, 1, 40, 40, 1, 0]
 

@@ -396,3 +396,9 @@ def test_the_default_configuration_is_used_when_none_is_given():
     session = Session(small_source())
     assert session.config == PlannerConfig()
     session.close()
+
+
+@pytest.mark.parametrize("time", [float("nan"), float("inf")])
+def test_a_time_that_is_none_is_refused_at_once(session: Session, time: float):
+    with pytest.raises(ValueError, match="it must be a finite number"):
+        session.seek(time)
