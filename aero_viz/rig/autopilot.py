@@ -39,6 +39,8 @@ _DEFAULT_STATE_RATE = 50.0  # [Hz]
 _MAX_STATE_RATE = 250.0  # [Hz]
 _SO_TIMESTAMPNS = 35  # socket option of Linux: the kernel notes when a datagram arrived
 _ODOMETRY, _ATTITUDE_QUATERNION, _EXTENDED_SYS_STATE, _GPS_RAW_INT = 331, 31, 245, 24  # message ids
+_SYS_STATUS, _BATTERY_STATUS = 1, 147
+_EXCEPT_OFFBOARD = 4  # bit of COM_RCL_EXCEPT
 _FIX_RATE = 8.0  # [Hz]
 _START_RADIUS = 0.2  # [m] from the start at which the take-off ends
 _ARMING_TIME = 1.5  # [s] after which a companion has received a heartbeat of a disarmed vehicle
@@ -66,6 +68,7 @@ class SimulatedAutopilot:
     Attributes:
         vehicle: the true state of the vehicle.
         mode, armed: reported by the next heartbeat.
+        battery_low: True makes the autopilot warn of a low battery.
         frozen: True makes the autopilot repeat its last state.
         velocity_error: error of the reported velocity along y, to the west, with which the position drifts [m/s].
         parameters: PX4's parameters by name; an int where PX4's is an integer.
@@ -99,15 +102,17 @@ class SimulatedAutopilot:
             place[2] = ground
         self.vehicle = Vehicle(model, place[None], [heading], period=PERIOD, device="cpu", seeds=[seed])
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
+        self.battery_low, self._has_transmitter = False, True
         self.velocity_error = self._drift = 0.0  # [m/s], [m]
         self.parameters: dict[str, float | int] = {
             "COM_OF_LOSS_T": loss_time,
             "COM_OBL_RC_ACT": 5,
             "COM_RC_OVERRIDE": 3,
-            "COM_RCL_EXCEPT": 0,
+            "COM_RCL_EXCEPT": 4,
             "NAV_RCL_ACT": 1,
             "NAV_DLL_ACT": 0,
             "COM_LOW_BAT_ACT": 0,
+            "BAT_CRIT_THR": 0.07,
             "COM_FAIL_ACT_T": 5.0,
             "THR_MDL_FAC": float(compensation),
             "MPC_THR_HOVER": float(hover_thrust),
@@ -134,6 +139,8 @@ class SimulatedAutopilot:
         self._periodic_messages = {
             _EXTENDED_SYS_STATE: PeriodicMessage(self._landed_messages),
             _GPS_RAW_INT: PeriodicMessage(self._fix_messages, 1.0 / _FIX_RATE),
+            _SYS_STATUS: PeriodicMessage(self._status_messages, 1.0),
+            _BATTERY_STATUS: PeriodicMessage(self._battery_messages, 1.0),
             state: PeriodicMessage(self._state_messages, state_period),
         }
         self._on_ground = ground is not None
@@ -196,7 +203,7 @@ class SimulatedAutopilot:
 
     def engage(self) -> bool:
         """Switch to OFFBOARD, as the pilot does; return True if the autopilot accepts."""
-        if not (self.armed and self.streaming):
+        if not (self.armed and self.streaming and self._has_transmitter):
             return False
         self.mode = Mode.OFFBOARD
         self._offboard.engage()
@@ -205,6 +212,12 @@ class SimulatedAutopilot:
     def lose_position(self, lost: bool = True) -> None:
         """Lose the GNSS fix, with which the estimated position drifts and grows uncertain, or find it again."""
         self._lost_at = self._now if lost else math.inf
+
+    def lose_transmitter(self, lost: bool = True) -> None:
+        """Lose the pilot's transmitter, which ends OFFBOARD unless COM_RCL_EXCEPT says otherwise, or hear it again."""
+        self._has_transmitter = not lost
+        if lost and self.mode is Mode.OFFBOARD and not int(self.parameters["COM_RCL_EXCEPT"]) & _EXCEPT_OFFBOARD:
+            self.hold()
 
     def hold(self) -> None:
         """Switch to HOLD, as the pilot or the autopilot's failsafe does."""
@@ -349,6 +362,18 @@ class SimulatedAutopilot:
         unknown = 2**16 - 1
         # The place on Earth is not simulated.
         return [d.MAVLink_gps_raw_int_message(int(1e6 * (_BOOT_TIME + self._now)), kind, 0, 0, 0, *[unknown] * 4, 255)]
+
+    def _status_messages(self) -> list[Any]:
+        d, unknown = self._dialect, 2**16 - 1
+        present = d.MAV_SYS_STATUS_SENSOR_RC_RECEIVER if self._has_transmitter else 0
+        return [d.MAVLink_sys_status_message(present, present, present, 0, unknown, -1, -1, *[0] * 6)]
+
+    def _battery_messages(self) -> list[Any]:
+        d = self._dialect
+        charge = d.MAV_BATTERY_CHARGE_STATE_LOW if self.battery_low else d.MAV_BATTERY_CHARGE_STATE_OK
+        voltages, unknown = [2**16 - 1] * 10, -1
+        # Number, function, type, temperature, voltages, current, consumed charge and energy, rest, time, state.
+        return [d.MAVLink_battery_status_message(0, 0, 0, 2**15 - 1, voltages, *[unknown] * 4, 0, charge)]
 
     def _landed_messages(self) -> list[Any]:
         d = self._dialect

@@ -36,6 +36,8 @@ FAULT_KINDS: dict[str, FaultKind] = {
     "freeze-state": FaultKind("the autopilot repeats one state", duration=3.0),
     "lose-position": FaultKind("the autopilot's position drifts and grows uncertain", duration=60.0),
     "err-velocity": FaultKind("the autopilot's velocity is off to the west, and its position drifts", 0.6, 60.0),
+    "lose-transmitter": FaultKind("the autopilot no longer hears the pilot's transmitter", duration=60.0),
+    "low-battery": FaultKind("the autopilot warns of a low battery"),
     "take-over": FaultKind("the pilot switches to HOLD, then back to OFFBOARD", duration=2.0),
     "kill-sensor": FaultKind("the LiDAR sends nothing", duration=60.0),
     "pause-node": FaultKind("the node's process is paused, then resumed", duration=0.5),
@@ -43,6 +45,9 @@ FAULT_KINDS: dict[str, FaultKind] = {
     "restart-node": FaultKind("the node's process is killed and restarted"),
 }
 """Kinds of faults by name."""
+
+OWN_FAULTS = ("err-velocity", "low-battery")
+"""Kinds of faults that only the rig's own autopilot has."""
 
 _MAX_VALUE = 1e6
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import rotate
 from aero_viz.flight.rules import FlightRules
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
-from aero_viz.rig.faults import NETWORK_FAULTS, Fault
+from aero_viz.rig.faults import NETWORK_FAULTS, OWN_FAULTS, Fault
 from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.offboard import Mode
 from aero_viz.rig.process import NodeProcess, raised_priority
@@ -268,9 +268,14 @@ class RigFlight:
             self._autopilot.frozen = active
         elif fault.kind == "lose-position":
             self._autopilot.lose_position(active)
-        elif fault.kind == "err-velocity":
+        elif fault.kind in OWN_FAULTS:
             assert isinstance(self._autopilot, SimulatedAutopilot)  # checked by `fly_rig`
-            self._autopilot.velocity_error = (fault.amount or 0.0) if active else 0.0
+            if fault.kind == "low-battery":
+                self._autopilot.battery_low = True
+            else:
+                self._autopilot.velocity_error = (fault.amount or 0.0) if active else 0.0
+        elif fault.kind == "lose-transmitter":
+            self._autopilot.lose_transmitter(active)
         elif fault.kind == "take-over":
             # If no setpoints arrive, the autopilot refuses the way back.
             _ = self._autopilot.hold() if active else self._autopilot.engage()

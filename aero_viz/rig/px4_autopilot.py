@@ -99,6 +99,7 @@ class Px4Autopilot:
         self._frozen_message: bytes | None = None
         self._main_mode = self._sub_mode = 0
         self._is_armed = self._in_air = False
+        self._has_transmitter = True
         self._companion_heard_at = math.inf
         self._stream_start = self._last_setpoint_time = -math.inf
         self._next_attempt = self._next_heartbeat = self._next_sticks = -math.inf
@@ -159,6 +160,10 @@ class Px4Autopilot:
         if hovers and is_streaming and is_long_enough and self._may_try():
             self._set_mode(_OFFBOARD)
         return False
+
+    def lose_transmitter(self, lost: bool = True) -> None:
+        """Send no sticks any more, or send them again."""
+        self._has_transmitter = not lost
 
     def hold(self) -> None:
         """Switch to HOLD, as the pilot does."""
@@ -323,7 +328,7 @@ class Px4Autopilot:
         if self._now >= self._next_heartbeat:
             self._next_heartbeat = self._now + 1.0
             self._send_heartbeat()
-        if self._now >= self._next_sticks:
+        if self._has_transmitter and self._now >= self._next_sticks:
             self._next_sticks = self._now + _STICK_PERIOD
             self._send_sticks()
         if self.armed and not self._in_air and not self._is_armed and self._may_try():

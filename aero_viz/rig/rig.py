@@ -27,7 +27,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.rig.autopilot import PERIOD, SimulatedAutopilot
-from aero_viz.rig.faults import Fault
+from aero_viz.rig.faults import OWN_FAULTS, Fault
 from aero_viz.rig.flight import RigFlight
 from aero_viz.rig.lockstep_node import LockstepNode
 from aero_viz.rig.process import NodeProcess
@@ -104,12 +104,12 @@ def fly_rig(
 
     Raises:
         ImportError: pymavlink is not installed.
-        UserError: there is no PX4 in the folder, it does not start, it does not accept a parameter, its estimate is to
-            err, or pyulog is not installed.
+        UserError: there is no PX4 in the folder, it does not start, it does not accept a parameter, a fault is one
+            of `OWN_FAULTS`, or pyulog is not installed.
         ValueError: the speed is out of range.
     """
-    if px4 is not None and any(fault.kind == "err-velocity" for fault in faults):
-        raise UserError("The fault err-velocity needs the rig's own autopilot: PX4 estimates its velocity itself.")
+    if px4 is not None and (own := [fault.kind for fault in faults if fault.kind in OWN_FAULTS]):
+        raise UserError(f"The fault {own[0]} needs the rig's own autopilot; fly without PX4.")
     config = config or PlannerConfig()
     if speed is not None:
         config = config.replace({"vehicle.speed_limit": speed})

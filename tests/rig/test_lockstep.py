@@ -150,6 +150,31 @@ def test_a_velocity_that_begins_to_err_in_flight_brakes_within_a_second(planner:
         assert rig.node.state is State.HANDED_BACK and not rig.collided
 
 
+@pytest.mark.parametrize("reserve", ["transmitter", "battery"])
+def test_a_drone_without_reserves_stops_where_it_sees_and_is_handed_over_at_rest(planner: Planner, reserve: str):
+    onboard = OnboardConfig().replace({"limits.hold_time": 0.5, "limits.brake_time": 2.0})
+    with LockstepRig(planner, avenue((12.0, 0.6)), seed=1, lidar=QUARTER, onboard=onboard) as rig:
+        at_full_speed(rig)
+        if reserve == "transmitter":
+            rig.autopilot.lose_transmitter()
+        else:
+            rig.autopilot.battery_low = True
+        rig.run(1.1)
+        assert rig.node.state in (State.BRAKING, State.HOLDING) and rig.autopilot.mode is Mode.OFFBOARD
+        run_until_handed_back(rig)
+        assert rig.speed < 0.1 and math.degrees(rig.tilt) < 1.0 and not rig.collided
+
+
+def test_without_the_recommended_parameter_px4_holds_in_full_flight_when_the_transmitter_is_lost(planner: Planner):
+    with LockstepRig(planner, avenue(), seed=1, lidar=QUARTER) as rig:
+        rig.autopilot.parameters["COM_RCL_EXCEPT"] = 0
+        at_full_speed(rig)
+        rig.autopilot.lose_transmitter()
+        assert rig.autopilot.mode is Mode.HOLD and rig.speed > 4.0
+        rig.run(1.5)
+        assert rig.node.state is State.WAITING
+
+
 @pytest.mark.parametrize("read_time", [1e-6, 1e-4, 2.5e-4], ids=["at once", "in 3 ticks", "in 8 ticks"])
 def test_a_paused_node_finds_a_slower_drone_and_flies_on(
     planner: Planner, monkeypatch: pytest.MonkeyPatch, read_time: float

@@ -114,6 +114,10 @@ class Inputs:
     """False if the failsafe process has ended or hangs; True as well if the node is to fly without one."""
     clock_set: bool = True
     """False if signed messages are required and the computer's date is not set."""
+    transmitter_lost: bool = False
+    """True if the autopilot no longer hears the pilot's transmitter."""
+    battery_low: bool = False
+    """True if the autopilot has warned of a low battery."""
     seen_disarmed: bool = True
     """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next five fields."""
     state_time: float = 0.0
@@ -143,6 +147,8 @@ class Cause(enum.Enum):
     FIX_LOST = "the autopilot's GNSS receiver has lost its fix"
     ESTIMATE_POOR = "the autopilot's position or velocity is too uncertain"
     CLOUD_DRIFTS = "the cloud does not stand still: the autopilot's attitude, velocity or time stamps are wrong"
+    TRANSMITTER_LOST = "the autopilot no longer hears the pilot's transmitter"
+    BATTERY_LOW = "the autopilot has warned of a low battery"
     BELOW_FLOOR = "below the floor, limits.fence_height_min above the ground"
     OUTSIDE_FENCE = "outside the geofence"
     LOOP_STALLED = "the control loop stalled"
@@ -169,8 +175,8 @@ class Cause(enum.Enum):
 
 FAULTS = (
     Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.FIX_LOST, Cause.ESTIMATE_POOR,
-    Cause.CLOUD_DRIFTS, Cause.BELOW_FLOOR, Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED, Cause.CLOUD_STALE,
-    Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
+    Cause.CLOUD_DRIFTS, Cause.TRANSMITTER_LOST, Cause.BATTERY_LOW, Cause.BELOW_FLOOR, Cause.OUTSIDE_FENCE,
+    Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
@@ -209,6 +215,8 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.FIX_LOST: ("limits.fix_age",),
     Cause.ESTIMATE_POOR: (),
     Cause.CLOUD_DRIFTS: ("limits.drift_time",),
+    Cause.TRANSMITTER_LOST: (),
+    Cause.BATTERY_LOW: (),
     Cause.BELOW_FLOOR: (),
     Cause.OUTSIDE_FENCE: (),
     Cause.LOOP_STALLED: ("limits.deadline",),
@@ -278,6 +286,8 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,  # no fault without a fix before, where the age is NaN
     Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.CLOUD_DRIFTS: _cloud_drifts,
+    Cause.TRANSMITTER_LOST: lambda i, _: i.transmitter_lost,
+    Cause.BATTERY_LOW: lambda i, _: i.battery_low,
     Cause.BELOW_FLOOR: lambda i, _: i.below_floor,
     Cause.OUTSIDE_FENCE: lambda i, _: not i.inside_fence and not i.below_floor,
     Cause.LOOP_STALLED: lambda i, lim: _exceeds(i.loop_age, lim.deadline),

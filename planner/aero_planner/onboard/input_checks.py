@@ -114,6 +114,7 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
         _check_landed_state(sample),
         *_check_uncertainty(sample, onboard),
         _check_fix(sample, now, onboard),
+        *_check_reserves(sample),
     ]
 
 
@@ -124,6 +125,17 @@ def _check_landed_state(sample: VehicleSample) -> Check:
         "mavlink.state_rate above 0 so that the node requests it."
     )
     return Check("landed state", words[sample.in_air], ok=sample.in_air is not None, advice=advice)
+
+
+def _check_reserves(sample: VehicleSample) -> Iterator[Check]:
+    words = {None: "not reported", True: "heard by the autopilot", False: "lost"}
+    advice = (
+        "Switch it on. The node stops when the autopilot reports its loss by SYS_STATUS: set mavlink.state_rate above "
+        "0 so that the node requests it."
+    )
+    yield Check("transmitter", words[sample.transmitter], ok=sample.transmitter is True, advice=advice)
+    if sample.battery_low:
+        yield Check("battery", "low, says the autopilot", ok=False, advice="Charge it.")
 
 
 def _check_uncertainty(sample: VehicleSample, onboard: OnboardConfig) -> Iterator[Check]:

@@ -95,6 +95,10 @@ class VehicleSample:
     measurement."""
     supported: bool = True
     """False if the vehicle says that it is of a kind that thrust and body rates from here do not steer as assumed."""
+    transmitter: bool | None = None
+    """True if the autopilot hears the pilot's transmitter, False if it does no longer; None if it never did."""
+    battery_low: bool = False
+    """True if the autopilot has warned of a low battery."""
 
 
 class CommandSink(Protocol):

@@ -37,6 +37,8 @@ _REQUEST_PERIOD = 2.0  # [s] between two requests for messages
 _LANDED_RATE = 5.0  # [Hz] of EXTENDED_SYS_STATE
 _RANGE_RATE = 10.0  # [Hz] of DISTANCE_SENSOR
 _FIX_RATE = 5.0  # [Hz] of GPS_RAW_INT
+_STATUS_RATE = 5.0  # [Hz] of SYS_STATUS
+_BATTERY_RATE = 1.0  # [Hz] of BATTERY_STATUS
 _MODE_PERIOD = 0.1  # [s] between two requests for the heartbeat of an armed vehicle: PX4 sends only one per second
 _DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
@@ -235,6 +237,8 @@ class MavlinkLink(MavlinkSender):
             "EXTENDED_SYS_STATE": (d.MAVLINK_MSG_ID_EXTENDED_SYS_STATE, _LANDED_RATE),
             "DISTANCE_SENSOR": (d.MAVLINK_MSG_ID_DISTANCE_SENSOR, _RANGE_RATE),
             "GPS_RAW_INT": (d.MAVLINK_MSG_ID_GPS_RAW_INT, _FIX_RATE),
+            "SYS_STATUS": (d.MAVLINK_MSG_ID_SYS_STATUS, _STATUS_RATE),
+            "BATTERY_STATUS": (d.MAVLINK_MSG_ID_BATTERY_STATUS, _BATTERY_RATE),
         }
         for name, (number, rate) in wanted.items():
             if self._arrived.get(name, 0) < 0.7 * rate * elapsed:

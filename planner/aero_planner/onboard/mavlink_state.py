@@ -6,7 +6,8 @@ flight does (`aero_planner.onboard.estimator_reset`), and when the state begins 
 covariances of ODOMETRY tell how uncertain the state is; the other two messages have none.
 
 HEARTBEAT tells what the vehicle is and whether it is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the
-air, GPS_RAW_INT whether GNSS has a fix. A DISTANCE_SENSOR that looks down measures the height of the ground.
+air, GPS_RAW_INT whether GNSS has a fix, SYS_STATUS whether the pilot's transmitter is heard, BATTERY_STATUS whether a
+battery is low. A DISTANCE_SENSOR that looks down measures the height of the ground.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ _RANGE_TIMEOUT = 1.0  # [s] after which a measured distance counts no more
 _RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
 _INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
+_TRANSMITTER_TIMEOUT = 3.0  # [s] after which a report that the transmitter is heard counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _MULTICOPTERS = (
     "TRICOPTER", "QUADROTOR", "HEXAROTOR", "OCTOROTOR", "DECAROTOR", "DODECAROTOR", "GENERIC_MULTIROTOR",
@@ -65,7 +67,7 @@ class StateReceiver:
 
     MESSAGES = (
         "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
-        "GPS_RAW_INT", "COMMAND_ACK",
+        "GPS_RAW_INT", "SYS_STATUS", "BATTERY_STATUS", "COMMAND_ACK",
     )  # fmt: skip
     """Names of the messages that `process` takes."""
 
@@ -84,6 +86,8 @@ class StateReceiver:
             "EXTENDED_SYS_STATE": self._process_landed_state,
             "DISTANCE_SENSOR": self._process_distance,
             "GPS_RAW_INT": self._process_fix,
+            "SYS_STATUS": self._process_system_status,
+            "BATTERY_STATUS": self._process_battery,
             "COMMAND_ACK": self._process_acknowledgement,
         }
         self._mode_changed = np.inf  # when a change of the mode was accepted that no heartbeat has named yet
@@ -95,6 +99,8 @@ class StateReceiver:
         self._position_std = self._velocity_std = math.nan
         self._ground_height, self._range_time = math.nan, -np.inf
         self._fix_time = math.nan
+        self._transmitter_time: float | None = None  # when the transmitter was last reported as present
+        self._low_batteries: set[int] = set()  # their numbers
         self._attitude: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None = None
         self._estimate: EstimatorState | None = None
         self._origin: tuple[Any, ...] | None = None
@@ -163,6 +169,24 @@ class StateReceiver:
         if message.fix_type >= self._dialect.GPS_FIX_TYPE_3D_FIX:
             self._fix_time = self._time()
             self._update_flags()
+        return True
+
+    def _process_system_status(self, message: Any) -> bool:
+        # PX4 counts a remote control as present while it hears it: rcAndDataLinkCheck.cpp.
+        if message.onboard_control_sensors_present & self._dialect.MAV_SYS_STATUS_SENSOR_RC_RECEIVER:
+            self._transmitter_time = self._time()
+        elif self._transmitter_time is not None:
+            self._transmitter_time = -np.inf
+        self._update_flags()
+        return True
+
+    def _process_battery(self, message: Any) -> bool:
+        d = self._dialect
+        if d.MAV_BATTERY_CHARGE_STATE_LOW <= message.charge_state <= d.MAV_BATTERY_CHARGE_STATE_UNHEALTHY:
+            self._low_batteries.add(message.id)
+        elif not self._armed:  # in flight, a warning stays
+            self._low_batteries.discard(message.id)
+        self._update_flags()
         return True
 
     def _process_odometry(self, message: Any) -> bool:
@@ -254,6 +278,8 @@ class StateReceiver:
             self._position_std, self._velocity_std, self._fix_time,
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
             self.supported,
+            None if self._transmitter_time is None else self._time() - self._transmitter_time <= _TRANSMITTER_TIMEOUT,
+            bool(self._low_batteries),
         )  # fmt: skip
 
     def _update_flags(self) -> None:

@@ -337,6 +337,8 @@ class Node:
             goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
             goal_number=self._goals.count,
             stopping=self._stopping,
+            transmitter_lost=latest is not None and latest.transmitter is False,
+            battery_low=latest is not None and latest.battery_low,
             supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
             clock_set=not self._is_signed or clock_is_set(),

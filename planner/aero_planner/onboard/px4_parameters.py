@@ -26,6 +26,7 @@ _OVERRIDE_OFFBOARD, _EXCEPT_OFFBOARD = 2, 4  # bits of COM_RC_OVERRIDE and COM_R
 _HOLD, _POSITION = 5, 0  # values of COM_OBL_RC_ACT
 _RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT, and of NAV_DLL_ACT, in which 0 is none
 _BATTERY_WARN, _BATTERY_LAND = 0, 2  # values of COM_LOW_BAT_ACT
+_MAX_CRITICAL = 0.1  # charge; BAT_LOW_THR is 0.12 or more
 _MIN_FAILSAFE_DELAY = 3.0  # [s] in which PX4's Hold stops the drone from 5 m/s
 
 
@@ -173,10 +174,11 @@ def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
         ),
         _Wanted(
             "COM_RCL_EXCEPT",
-            "bit 2 clear",
-            "The loss of the transmitter must end OFFBOARD as well.",
-            lambda value: not int(value) & _EXCEPT_OFFBOARD,
-            lambda value: int(value) & ~_EXCEPT_OFFBOARD,
+            "bit 2 set",
+            "When the transmitter is lost, the node stops the drone where it sees, and then hands it over: otherwise "
+            "PX4 holds it in full flight, without regard to obstacles.",
+            lambda value: bool(int(value) & _EXCEPT_OFFBOARD),
+            lambda value: int(value) | _EXCEPT_OFFBOARD,
         ),
         _Wanted(
             "NAV_RCL_ACT",
@@ -198,6 +200,14 @@ def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
             "What PX4 does when the battery is critical, in OFFBOARD, too: Return climbs first, through the trees. "
             "Choose one by hand.",
             lambda value: value in (_BATTERY_WARN, _BATTERY_LAND),
+        ),
+        _Wanted(
+            "BAT_CRIT_THR",
+            f"{_MAX_CRITICAL:g} or less",
+            "PX4 acts at this charge, in full flight; the node stops the drone at BAT_LOW_THR, which must come a "
+            "minute before.",
+            lambda value: value <= _MAX_CRITICAL + _TOLERANCE,
+            required=False,
         ),
         _Wanted(
             "COM_FAIL_ACT_T",

@@ -74,6 +74,15 @@ def gnss(fix_type):
     return mavlink.MAVLink_gps_raw_int_message(0, fix_type, 0, 0, 0, 0, 0, 0, 0, 0)
 
 
+def transmitter(present):
+    sensors = mavlink.MAV_SYS_STATUS_SENSOR_RC_RECEIVER if present else 0
+    return mavlink.MAVLink_sys_status_message(sensors, 0, 0, 0, 0, -1, -1, *[0] * 6)
+
+
+def battery(charge_state, number=0):
+    return mavlink.MAVLink_battery_status_message(number, 0, 0, 0, [65535] * 10, -1, -1, -1, -1, 0, charge_state)
+
+
 def distance(centimetres, *, orientation=25, quality=0):
     return mavlink.MAVLink_distance_sensor_message(
         0, 20, 1000, centimetres, 0, 0, orientation, 0, 0.0, 0.0, [0.0] * 4, quality

@@ -57,7 +57,8 @@ def is_well(inputs: Inputs) -> bool:
     # One that drifted in flight must be measured again.
     drifts = drifts or (inputs.cloud_drifted and inputs.armed and inputs.offboard and math.isnan(inputs.drift_speed))
     is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
-    return fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
+    reserves = not inputs.transmitter_lost and not inputs.battery_low
+    return reserves and fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
 
 
 def may_begin_to_fly(inputs: Inputs) -> bool:

@@ -65,7 +65,7 @@ class SimulatedLink:
         self.thrust_gain = 1.0
         self.armed = self.offboard = False
         self.in_air: bool | None = True
-        self.supported = True
+        self.supported, self.transmitter, self.battery_low = True, True, False
         self.position_std, self.velocity_std = 0.2, 0.05
         self.fix_age = 0.1
         self.ground_height = math.nan
@@ -96,6 +96,7 @@ class SimulatedLink:
         self.state = VehicleSample(
             time, state, *self._mode, self._heartbeat, self.resets, self.in_air,
             self.position_std, self.velocity_std, now - self.fix_age, self.ground_height, self.supported,
+            self.transmitter, self.battery_low,
         )  # fmt: skip
 
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:

@@ -42,6 +42,8 @@ BREAKS: dict[str, dict[str, object]] = {
     "velocity uncertain": {"velocity_std": math.inf},
     "uncertainty still too large": {"velocity_std": 0.9 * LIMITS.velocity_std, "estimate_was_poor": True},
     "fence": {"inside_fence": False},
+    "transmitter": {"transmitter_lost": True},
+    "battery": {"battery_low": True},
     "floor": {"inside_fence": False, "below_floor": True},
     "overrun": {"loop_age": LIMITS.deadline + 0.01},
     "loop gone": {"loop_age": LIMITS.deadline + LIMITS.blind_time + 0.01},

@@ -12,12 +12,14 @@ from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.thrust import ThrustModel
 from tests.planner.onboard.mavlink_peer import (
     Peer,
+    battery,
     gnss,
     goal_message,
     landed_state,
     mavlink,
     odometry,
     state_after,
+    transmitter,
 )
 
 
@@ -108,11 +110,15 @@ def test_odometry_is_requested_until_it_arrives(link, autopilot, clock):
     autopilot.heartbeat()
     link.poll()
     requests = {request.param1: request.param2 for request in interval_requests(autopilot)}
-    wanted = {"ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5, "GPS_RAW_INT": 2e5}
+    wanted = {
+        "ODOMETRY": 1e4, "EXTENDED_SYS_STATE": 2e5, "DISTANCE_SENSOR": 1e5, "GPS_RAW_INT": 2e5, "SYS_STATUS": 2e5,
+        "BATTERY_STATUS": 1e6,
+    }  # fmt: skip
     assert requests == {getattr(mavlink, f"MAVLINK_MSG_ID_{name}"): period for name, period in wanted.items()}
     for k in range(250):
         clock.now += 0.01
-        autopilot.send(odometry(time=5.0 + 0.01 * k), *([landed_state(2), gnss(3)] if k % 20 == 0 else []))
+        reports = [landed_state(2), gnss(3), transmitter(True), battery(mavlink.MAV_BATTERY_CHARGE_STATE_OK)]
+        autopilot.send(odometry(time=5.0 + 0.01 * k), *(reports if k % 20 == 0 else []))
         link.poll()
     autopilot.heartbeat()
     link.poll()

@@ -12,6 +12,7 @@ from tests.planner.onboard.mavlink_peer import (
     NAN21,
     OFFBOARD,
     attitude,
+    battery,
     distance,
     gnss,
     landed_state,
@@ -19,6 +20,7 @@ from tests.planner.onboard.mavlink_peer import (
     mavlink,
     odometry,
     state_after,
+    transmitter,
 )
 
 
@@ -239,6 +241,31 @@ def test_the_time_of_the_newest_gnss_fix(link, autopilot, clock):
     clock.now += 1.0
     state_after(link, autopilot, gnss(mavlink.GPS_FIX_TYPE_NO_FIX), odometry(time=6.0))
     assert link.state.fix_time == fixed
+
+
+def test_a_transmitter_is_lost_when_it_is_no_longer_present_or_reported(link, autopilot, clock):
+    state_after(link, autopilot, odometry(), transmitter(False))
+    assert link.state.transmitter is None  # there never was one
+    for reports, heard in (([transmitter(True)], True), ([transmitter(False)], False), ([transmitter(True)], True)):
+        state_after(link, autopilot, *reports)
+        assert link.state.transmitter is heard
+    clock.now += 3.1
+    state_after(link, autopilot, odometry(time=8.2))
+    assert link.state.transmitter is False
+
+
+def test_a_warning_of_any_battery_stays_in_flight(link, autopilot):
+    ok, low, failed = (getattr(mavlink, f"MAV_BATTERY_CHARGE_STATE_{name}") for name in ("OK", "LOW", "FAILED"))
+    autopilot.heartbeat(ARMED)
+    state_after(link, autopilot, odometry(), battery(ok), battery(ok, 1))
+    assert not link.state.battery_low
+    state_after(link, autopilot, battery(low, 1), battery(ok), battery(ok, 1))
+    assert link.state.battery_low
+    autopilot.heartbeat(0)
+    state_after(link, autopilot, battery(ok, 1))
+    assert not link.state.battery_low
+    state_after(link, autopilot, battery(failed))
+    assert link.state.battery_low
 
 
 def test_the_height_of_the_ground_comes_from_a_sensor_that_looks_down(link, autopilot, clock):

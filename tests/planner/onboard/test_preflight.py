@@ -40,7 +40,8 @@ def test_a_drone_in_order_passes(drone: Simulation):
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
         "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
-        "GNSS fix", "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground", "position", "goal",
+        "GNSS fix", "transmitter", "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground",
+        "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
@@ -97,6 +98,16 @@ def test_the_landed_state_must_be_reported(drone: Simulation, in_air: bool | Non
     drone.link.in_air = in_air
     check = run_checks(drone)["landed state"]
     assert check.ok is passes and (passes or "EXTENDED_SYS_STATE" in check.advice)
+
+
+@pytest.mark.parametrize(
+    ("transmitter", "battery_low", "failed"),
+    [(None, False, ["transmitter"]), (False, False, ["transmitter"]), (True, True, ["battery"])],
+)
+def test_transmitter_and_battery_must_be_in_order(drone: Simulation, transmitter, battery_low, failed):
+    drone.link.transmitter, drone.link.battery_low = transmitter, battery_low
+    checks = run_checks(drone)
+    assert [name for name in ("transmitter", "battery") if name in checks and not checks[name].ok] == failed
 
 
 def test_a_low_floor_needs_a_distance_sensor(drone: Simulation):

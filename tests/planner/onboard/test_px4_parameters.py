@@ -25,11 +25,11 @@ NAN21 = [math.nan] * 21
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 CHANGE = ParameterChange("NAV_RCL_ACT", 1, 2)
 DEFAULTS = {
-    "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 4, "NAV_RCL_ACT": 2,
-    "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 0, "COM_FAIL_ACT_T": 5.0,
+    "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 0, "NAV_RCL_ACT": 2,
+    "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 0, "BAT_CRIT_THR": 0.07, "COM_FAIL_ACT_T": 5.0,
     "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MAV_1_FORWARD": 0,
 }  # fmt: skip
-"""PX4's defaults, but for COM_RCL_EXCEPT."""
+"""PX4's defaults."""
 
 
 class Px4:
@@ -140,7 +140,7 @@ def test_px4s_defaults_are_found_wanting_and_repaired(connect):
     assert not hover.ok and not hover.required and hover.finding == "0.5; wanted: 0.42, as thrust.hover_thrust"
     changes = find_changes(values, config)
     assert {change.name: (change.before, change.value) for change in changes} == {
-        "COM_OF_LOSS_T": (1.0, 0.2), "COM_RC_OVERRIDE": (1, 3), "COM_RCL_EXCEPT": (4, 0), "NAV_RCL_ACT": (2, 1),
+        "COM_OF_LOSS_T": (1.0, 0.2), "COM_RC_OVERRIDE": (1, 3), "COM_RCL_EXCEPT": (0, 4), "NAV_RCL_ACT": (2, 1),
     }  # fmt: skip
     assert px4.write(changes) == WriteResult(())
     assert px4.parameters["COM_RC_OVERRIDE"] == 3 and px4.parameters["COM_OF_LOSS_T"] == pytest.approx(0.2)
