@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan, Planner, VehicleState
 from aero_planner.cost_terms import CostTerms
@@ -85,6 +85,12 @@ class Replanner:
         """Return the braking candidates at the tick of a frame, which has a checkpoint, from another state."""
         planner = self._restored(frame)
         return dataclasses.replace(frame.observation, state=state).plan_with(planner).braking
+
+    def costs(self, frame: Frame, controls: ArrayLike) -> CostTerms:
+        """Return the terms of S2 of controls [n, N, 4] that begin at the tick of a frame, with its configuration."""
+        planner = self._restored(frame)
+        frame.observation.plan_with(planner)
+        return planner.costs_of(controls).of_stage2()
 
     def close(self) -> None:
         """Release the planner."""

@@ -458,6 +458,23 @@ class Planner:
         return evaluate_terms(self._recorder(), rows, values, self._config.previous_index)
 
     @exclusive
+    def costs_of(self, controls: ArrayLike) -> CostTerms:
+        """Return the costs of other controls from the start of the last plan, with its configuration; see `cost_terms`.
+
+        Tracking, which is no part of S2, is that of the guide of instance 0.
+
+        Args:
+            controls: controls of the vehicle model, shape [n, N, 4].
+
+        Raises:
+            ValueError: they have another shape.
+        """
+        controls, steps = np.asarray(controls, dtype=np.float32), self._sizes.N
+        if controls.ndim != 3 or controls.shape[1:] != (steps, 4):
+            raise ValueError(f"controls have the shape {list(controls.shape)}; give [n, {steps}, 4].")
+        return evaluate_terms(self._recorder(), [(0, 0)] * len(controls), controls, self._config.previous_index)
+
+    @exclusive
     def safety(self) -> Safety:
         """Return how the selection has judged the instances of the last plan, by its own functions.
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from small_source import small_config, small_source
 
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from tests.browser.desk import COARSE, open_desk
 from tests.browser.pictures import count
@@ -33,8 +34,9 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.wait_for(lambda: session.frame.config.vehicle.speed_limit == 2.0, "B")
         a, b = session.comparison.frame, session.frame
         assert a.time == b.time and a.config.vehicle.speed_limit != 2.0
-        costs = [f"{frame.plan.stage2_cost[frame.plan.best]:.5g}" for frame in (a, b)]
-        desk.wait_for(lambda: all(cost in text(desk) for cost in costs), "the costs of both plans")
+        costs = [cost_text(frame.plan.stage2_cost[frame.plan.best]) for frame in (a, b)]
+        words = [f"S2 by the weights of {name}" for name in "AB"]
+        desk.wait_for(lambda: all(cost in text(desk) for cost in (*costs, *words)), "the costs of both plans")
         assert "7.0" in text(desk) and "speed at its end [m/s]" in text(desk)
 
         time = session.frame.time

@@ -50,14 +50,6 @@ def with_term(evidence: Evidence, value: float) -> Evidence:
     return dataclasses.replace(evidence, stage2=CostTerms(terms, values, costs.positions, costs.clearance))
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (0.012346, "0.01235"), (94.468, "94.47"), (9999.4, "9999"), (9999.6, "10000"), (123456.7, "123457")],
-)
-def test_costs_have_four_digits_or_are_whole_numbers(value: float, text: str):
-    assert figure(value) == text and figure(-value) == f"-{text}"
-
-
 def test_the_card_adds_up_to_the_costs_of_the_planner(evidence):
     plan = evidence.plan
     for m in range(len(plan.kinds)):

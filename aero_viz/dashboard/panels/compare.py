@@ -8,12 +8,15 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig, PlanStatus
+from aero_planner.mailbox import Mailbox
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.charts import flight_table
+from aero_viz.explain.crossed_costs import ChoiceCost, CrossedCosts, crossed_costs
+from aero_viz.explain.evidence import Replanner
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
@@ -44,6 +47,10 @@ class ComparePanel(Panel):
         self._stop = gui.add_button(
             "Stop comparing", icon=viser.Icon.PINNED_OFF, color="gray", visible=False, hint="Unpin A."
         )
+        self._replan = Replanner()
+        self._wanted: tuple[Frame, Frame] | None = None
+        self._costs: CrossedCosts | None = None
+        self._work = Mailbox(self._weigh, name="aero-viz-compare", low_priority=True)
         self.table = gui.add_html("")
         """The comparison in figures."""
 
@@ -82,11 +89,29 @@ class ComparePanel(Panel):
             content = markup.block(*self._tables(frame, past, past.pinned))
         return [*self.update_without_frame(), (self.table, "content", content)]
 
+    def close(self) -> None:
+        self._work.close()
+        self._replan.close()
+
+    def _costs_of(self, a: Frame, b: Frame) -> CrossedCosts | None:
+        """Return the costs of both choices by the weights of each, once they are known."""
+        key = a, b
+        if key != self._wanted:
+            self._wanted = key
+            self._work.put(key)
+        costs = self._costs
+        return costs if costs is not None and (costs.a, costs.b) == key else None
+
+    def _weigh(self, frames: tuple[Frame, Frame]) -> None:
+        """Plan again with both configurations, on the mailbox's thread, and show the costs."""
+        self._costs = crossed_costs(self._replan, *frames)
+        self.page.refresh()
+
     def _tables(self, frame: Frame, past: Past, pinned: PlannerConfig) -> list[str]:
         a = past.alternative_to(frame)
         parts = [parameter_table(pinned, self.session.config)]
         if a is not None:
-            parts.append(tick_table(a, frame))
+            parts.append(tick_table(a, frame, self._costs_of(a, frame)))
         else:
             parts.append(markup.muted("A plans while the session is paused."))
         if len(past.ghost) and past.ghost_name == "A":
@@ -108,28 +133,42 @@ def parameter_table(a: PlannerConfig, b: PlannerConfig) -> str:
     return markup.columns(("parameter", "A", "B"), rows, tooltips=list(differences))
 
 
-def tick_table(a: Frame, b: Frame) -> str:
-    """Return the plans of A and B for the same tick in figures, as HTML."""
+def tick_table(a: Frame, b: Frame, costs: CrossedCosts | None = None) -> str:
+    """Return the plans of A and B for the same tick in figures, as HTML.
+
+    Args:
+        a: frame of A.
+        b: frame of B.
+        costs: costs of both choices by the weights of each; None leaves them out.
+    """
     labels = (
-        "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
-        "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates", "candidates with clearance",
-        "plan time [ms]",
+        "chosen instance", "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates",
+        "candidates with clearance", "plan time [ms]",
     )  # fmt: skip
-    return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
+    rows = list(zip(labels, _plan(a), _plan(b), strict=True))
+    if costs is not None:
+        for name, choices in (("A", costs.by_a), ("B", costs.by_b)):
+            rows += _cost_rows(name, choices)
+    return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), rows)
+
+
+def _cost_rows(name: str, choices: tuple[ChoiceCost, ChoiceCost]) -> list[tuple[str, str, str]]:
+    """Return what the choices of A and B cost by the weights of one of them."""
+    a, b = choices
+    rows = (
+        (f"S2 by the weights of {name}", a.s2, b.s2), ("goal", a.goal, b.goal), ("collision", a.collision, b.collision),
+        ("other terms", a.rest, b.rest),
+    )  # fmt: skip
+    return [(label if i == 0 else f"· {label}", cost_text(x), cost_text(y)) for i, (label, x, y) in enumerate(rows)]
 
 
 def _plan(frame: Frame) -> tuple[str, ...]:
     plan, best = frame.plan, int(frame.plan.best)
-    s2, goal, collision = (float(cost[best]) for cost in (plan.stage2_cost, plan.goal_cost, plan.collision_cost))
     clearance, reach = float(plan.clearance[best].min()), frame.config.costs.distance_max
     is_beyond = clearance >= reach - 1e-4
     clear = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
     return (
         f"{best} {plan.kinds[best]}",
-        cost_text(s2),
-        cost_text(goal),
-        cost_text(collision),
-        cost_text(s2 - goal - collision),
         f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
         f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
         _safe_count(frame),
