@@ -22,4 +22,9 @@ def from_extra(extra: str, purpose: str) -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise UserError(f"{purpose} need the extra {extra!r}: pip install 'aero-viz[{extra}]' ({error}).") from error
+        raise UserError(f"{purpose} {how_to_install(extra)} ({error}).") from error
+
+
+def how_to_install(extra: str) -> str:
+    """Return what is needed, and the command that installs it."""
+    return f"need the extra {extra!r}: run pip install '.[{extra}]' in the checkout of AERO-Viz"

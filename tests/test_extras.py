@@ -116,10 +116,10 @@ def test_the_core_is_enough(tmp_path: Path, arguments: list[str]):
 def test_a_command_names_the_extra_that_it_needs(tmp_path: Path, extra: str, arguments: list[str]):
     done = run_core(*arguments, cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
-    assert f"pip install 'aero-viz[{extra}]'" in done.stderr
+    assert f"pip install '.[{extra}]'" in done.stderr
 
 
 def test_a_file_names_the_extra_that_its_format_needs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.setitem(sys.modules, "laspy", None)
-    with pytest.raises(UserError, match=r"map\.las and other LAS files need the extra 'formats': pip install"):
+    with pytest.raises(UserError, match=r"map\.las and other LAS files need the extra 'formats': run pip install"):
         read_las(tmp_path / "map.las")

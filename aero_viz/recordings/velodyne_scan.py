@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from aero_viz.extras import how_to_install
 from aero_viz.input_limits import NAME_MAX, SWEEP_POINTS_MAX
 from aero_viz.recordings.bag_file import one_line
 from aero_viz.recordings.point_cloud2 import RawCloud
@@ -27,7 +28,7 @@ def read_velodyne_scan(message: bytes | memoryview, encoding: str) -> RawCloud:
         DamagedMessage: the message is damaged, or the decoder is not installed.
     """
     if importlib.util.find_spec("velodyne_decoder") is None:
-        raise DamagedMessage("velodyne_msgs/VelodyneScan needs the extra 'formats': pip install 'aero-viz[formats]'")
+        raise DamagedMessage(f"messages of the type {VELODYNE_SCAN} {how_to_install('formats')}")
     try:
         start = 4 if encoding == "cdr" else 0  # of the content, which CDR aligns; ROS 1 has a sequence number first
         order = ">" if encoding == "cdr" and message[1] == 0 else "<"

@@ -99,7 +99,9 @@ class Obstacle:
 
     def turned(self, yaw: float) -> Obstacle:
         """Return a box with another `yaw` [rad], another solid unchanged."""
-        return Obstacle(self.kind, np.append(self.values[:6], math.remainder(yaw, math.tau))) if self.kind == "boxes" else self
+        if self.kind != "boxes":
+            return self
+        return Obstacle(self.kind, np.append(self.values[:6], math.remainder(yaw, math.tau)))
 
 
 def new_obstacle(kind: str, center: ArrayLike, size: ArrayLike) -> Obstacle:

@@ -181,7 +181,7 @@ def test_a_study_that_is_read_is_not_changed(storage: str) -> None:
 
 def test_without_optuna_one_sentence_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch, storage: str) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
-    message = r"Studies need the extra 'tune': pip install 'aero-viz\[tune\]'"
+    message = r"Studies need the extra 'tune': run pip install '\.\[tune\]'"
     with pytest.raises(UserError, match=message):
         StoredStudy(storage, "poles")
     with pytest.raises(UserError, match=message):
