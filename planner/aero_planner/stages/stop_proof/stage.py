@@ -41,7 +41,7 @@ def _continue(r: Recorder) -> list[list[Launches]]:
         stops.continue_stop(r.tuning, r.composition),
         (r.sizes.B, r.tuning.threads_per_instance),
         inputs=[r.problem, r.start, r.params, r.previous],
-        outputs=[_proven(r), r.guides, r.nominal_controls],
+        outputs=[_proven(r), r.guides, r.work.nominal_controls],
         block_dim=32,
     )
     return [[[launch]]]
