@@ -64,8 +64,8 @@ class ParameterInfo:
     """Regular expression that a text must match as a whole."""
     form: str = ""
     """The pattern in words, such as "an address"."""
-    items: tuple[str, ...] = ()
-    """Names of which a text lists any, separated by commas, in this order; empty for another text."""
+    items: tuple[str, ...] | None = None
+    """Names of which a text lists any, separated by commas, in this order; None for another text."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "label", self.label or self.name.replace("_", " ").capitalize())
@@ -90,7 +90,7 @@ class ParameterInfo:
     @property
     def accepts_nothing(self) -> bool:
         """True for a text that may be empty."""
-        return bool(self.items) or (bool(self.pattern) and re.fullmatch(self.pattern, "") is not None)
+        return self.items is not None or (bool(self.pattern) and re.fullmatch(self.pattern, "") is not None)
 
     @property
     def range(self) -> str:
@@ -110,8 +110,8 @@ class ParameterInfo:
             ValueError: the value has the wrong type or is out of bounds; names parameter, value and range.
         """
         kind = type(self.default)
-        if self.items:
-            return self._check_items(value)
+        if self.items is not None:
+            return self._check_items(value, self.items)
         if hasattr(value, "item") and getattr(value, "ndim", None) == 0:
             value = value.item()
         if self.pattern:
@@ -129,15 +129,15 @@ class ParameterInfo:
             raise ValueError(f"{self.path} is {value!r}; it must be {expected}.")
         return kind(value)
 
-    def _check_items(self, value: Any) -> str:
+    def _check_items(self, value: Any, items: tuple[str, ...]) -> str:
         """Return the names that a text lists in the order of `items`, separated by commas."""
         if not isinstance(value, str):
             raise ValueError(f"{self.path} is {value!r}; it must be {self.form}.")
         listed = {name.strip() for name in value.split(",")} - {""}
-        for name in sorted(listed.difference(self.items)):
-            hint = did_you_mean(name, self.items)
-            raise ValueError(f"{self.path} has {name!r}{hint}; known: {', '.join(self.items)}.")
-        return ", ".join(name for name in self.items if name in listed)
+        for name in sorted(listed.difference(items)):
+            hint = did_you_mean(name, items)
+            raise ValueError(f"{self.path} has {name!r}{hint}; known: {', '.join(items)}.")
+        return ", ".join(name for name in items if name in listed)
 
 
 def live(default: Any, unit: str, low: float, high: float, help: str, **more: Any) -> Any:

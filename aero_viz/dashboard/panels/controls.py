@@ -95,7 +95,7 @@ class ItemsControl(Control):
         listed = value.split(", ")
         self.boxes = {
             name: gui.add_checkbox(name.replace("_", " ").capitalize(), name in listed, hint=_hint(info))
-            for name in info.items
+            for name in info.items or ()
         }
         """The checkboxes by the names."""
 
