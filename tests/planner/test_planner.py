@@ -228,7 +228,7 @@ def test_a_rebuild_that_fails_keeps_the_configuration_of_each_drone(monkeypatch:
             raise MemoryError("no room")
         return allocate(kind, sizes, device, **present)
 
-    monkeypatch.setattr("aero_planner.planner.allocate", fail)
+    monkeypatch.setattr("aero_planner.structure.allocate", fail)
     with pytest.raises(MemoryError, match="no room"):
         planner.configure(config_of("paper", sampling__steps=10))
     plan = planner.plan(*batch_of([case, case]))
@@ -247,7 +247,7 @@ def test_a_rebuild_that_fails_keeps_the_previous_plan(monkeypatch: pytest.Monkey
         case, planner = random_case(0), Planner(config_of())
         case.plan(planner)
         if attempt:
-            monkeypatch.setattr("aero_planner.planner.allocate", fail)
+            monkeypatch.setattr("aero_planner.structure.allocate", fail)
             with pytest.raises(MemoryError, match="no room"):
                 planner.configure(planner.config.replace({"sampling.steps": 10}))
         plans.append(case.plan(planner))

@@ -156,8 +156,8 @@ def test_a_dynamic_obstacle_that_is_near_at_the_start_may_be_left(device: str):
     start, static = (clearance.numpy()[0, 0, -1] for clearance in (work.state_clearance, work.static_clearance))
     assert 0.1 < start < least - 0.03 and static > least
     assert plan.status == PlanStatus.OK
-    stops = planner.arrays_of("stop_proof")["stop_clearance"].numpy()
-    assert (stops >= least).any() and not (stops >= least).all()
+    stops = planner.arrays_of("stop_proof")["stop_clearance"].numpy()[0].reshape(-1, int(STOPS))
+    assert (stops[:, :3] >= least).any(), "also of those that leave at once"
 
 
 def closing_in(planner: Planner, *, period: float = 0.02, count: int = 6) -> tuple[list[Plan], list[Array]]:
