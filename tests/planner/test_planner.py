@@ -61,14 +61,6 @@ def test_continued_cells_are_those_whose_points_were_not_measured(device: str, d
     assert not plan.continued_cells[~is_occupied].any()
 
 
-def test_open_space_leads_to_the_goal(device: str):
-    case = random_case(0, count=0)
-    plan = case.plan(Planner(config_of(), device=device))
-    assert plan.status == PlanStatus.OK
-    before = np.linalg.norm(case.goal - case.position)
-    assert np.linalg.norm(case.goal - plan.positions[plan.best, -1]) < before - 0.5
-
-
 @pytest.mark.parametrize("preset", ["default", "paper"])
 @pytest.mark.parametrize("seed", range(3))
 def test_without_a_safe_candidate_the_drone_brakes(device: str, preset: str, seed: int):
