@@ -12,6 +12,8 @@ _NAMES += ("pointtimeoffset", "relativetime", "relativetimestamp", "timens", "ti
 _NAMES += ("gpstime",)
 """Names without underscores, spaces and CloudCompare's "scalar" and in lower case; the preferred one first."""
 _FORMATS = ("i4", "u4", "f4", "f8", "i8", "u8")
+UNITS = (1.0, 1e-9, 1e-6, 1e-3)
+"""Units that drivers write [s], the preferred one first; only floats are in seconds."""
 _MIN_SWEEP, _MAX_SWEEP = 1e-3, 2.0
 """Limits of a sweep's duration [s]."""
 _WHOLE, _ROUNDING = 0.8, 1e-6
@@ -48,7 +50,7 @@ def time_unit(values: NDArray[np.generic], period: float | None = None) -> float
         values: times of the points of one sweep.
         period: time from one sweep to the next [s]; None where it is not known.
     """
-    units = (1.0, 1e-9, 1e-6, 1e-3) if values.dtype.kind == "f" else (1e-9, 1e-6, 1e-3)
+    units = UNITS if values.dtype.kind == "f" else UNITS[1:]
     times = values.astype(np.float64)
     times = times[np.isfinite(times)]
     if not len(times):

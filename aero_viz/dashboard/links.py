@@ -99,12 +99,9 @@ class Link:
         for path, text in entries.items():
             if path in conditions:
                 values[path] = conditions[path].check(_value(conditions[path], text))
-            elif path in PlannerConfig.renamed or path in PlannerConfig.removed:
-                if (current := PlannerConfig.current_path(path, "The link: ")) is not None:
-                    config[current] = _value(parameters[current], text)
-            elif path in parameters:
-                config[path] = _value(parameters[path], text)
-            else:
+            elif (current := PlannerConfig.current_path(path, "The link: ")) in parameters:
+                config[current] = _value(parameters[current], text)
+            elif current is not None:  # not one that was removed
                 hint = did_you_mean(path, [*conditions, *parameters])
                 raise ValueError(
                     f"The link has an entry {path!r}, which this version does not know{hint}; "

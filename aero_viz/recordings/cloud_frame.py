@@ -26,7 +26,7 @@ _LEAST = 0.1
 
 def check_cloud_frame(recording: Recording, poses: RecordedPoses) -> Finding | None:
     """Return what is wrong with the frame of the clouds, None if nothing is."""
-    return turns_with_body(recording, poses) if recording.is_in_world else _stands_still(recording, poses)
+    return recording.frame_fault if recording.is_in_world else _stands_still(recording, poses)
 
 
 def turns_with_body(recording: Recording, poses: RecordedPoses) -> Finding | None:

@@ -113,6 +113,7 @@ def configure_recording(
         from aero_viz.recordings.cloud_frame import turns_with_body
 
         if found := turns_with_body(recording, recording.poses):
+            recording.frame_fault = found
             recording.problems.append(f"{found.evidence}: {found.advice}")
 
 

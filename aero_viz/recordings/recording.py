@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from aero_planner.quaternions import compose_transforms, rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.input_limits import ReadingBudget
+from aero_viz.point_times import UNITS
 from aero_viz.recordings.axes import other_axes
 from aero_viz.recordings.bag_file import BagFile
 from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents
+from aero_viz.recordings.finding import Finding
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.sensors import choose_sensor
@@ -68,6 +70,8 @@ class Recording:
         """Name of the format, such as "mcap", "rosbag2-sqlite3" or "lvx2"."""
         self.problems: list[str] = list(contents.problems)
         """Notices for the user, one sentence each."""
+        self.frame_fault: Finding | None = None
+        """Set if the clouds are said to be in the frame of the world, but move with the body."""
         cloud, notice = choose_cloud_topic(contents, points_topic)
         self.problems += [notice] if notice else []
         self.points_topic = cloud.name
@@ -87,7 +91,7 @@ class Recording:
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
         period = float(np.median(np.diff(self.sweep_times))) if len(self.sweep_times) > 1 else None
         self._time_unit = common_time_unit(self._sampled_clouds(), period)
-        if self._time_unit is not None and self._time_unit not in (1.0, 1e-3, 1e-6, 1e-9):
+        if self._time_unit is not None and self._time_unit not in UNITS:
             self.problems.append(
                 f"the times of points run from 0 to 1 and are taken for shares of a sweep of {self._time_unit:.3g} s"
             )

@@ -75,8 +75,16 @@ class Cloud:
         """Return True if the array already holds `points`: they are this array, or a read-only array written last."""
         return points is self.array or (self._written is not None and self._written is points)
 
-    def write(self, points: Points, clouds: list[Any]) -> None:
-        """Copy the clouds that `split` has returned for `points` to the device; there must be room for them."""
+    def write(self, points: Points, clouds: list[Any]) -> list[int]:
+        """Copy `clouds`, the result of `split` for `points`, to the device; the array grows if needed.
+
+        Returns:
+            The number of points of each.
+        """
+        counts = [len(cloud) for cloud in clouds]
+        if max(counts) > self.capacity:
+            # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each time.
+            self.reserve(max(counts) * 5 // 4)
         for b, cloud in enumerate(clouds):
             row: Any = self.array[b]
             if isinstance(cloud, wp.array):
@@ -89,6 +97,7 @@ class Cloud:
                 )
                 wp.copy(row, source, count=len(cloud))
         self._written = points if is_constant(points) else None
+        return counts
 
     def split(self, points: Points) -> list[Any]:
         """Return the cloud of each drone; of the array itself, that on the device.

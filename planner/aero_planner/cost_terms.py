@@ -59,23 +59,36 @@ class CostTerms:
         return self.values[:, [term.in_stage2 for term in self.terms]].sum(axis=(1, 2))
 
 
-def evaluate_terms(
-    recorder: Recorder, rows: Sequence[tuple[int, int]], controls: NDArray[Any], previous_index: int
-) -> CostTerms:
-    """Return the terms of rollouts from the start of the planner's last plan.
+def evaluate_terms(recorder: Recorder, instances: Sequence[int], samples: Sequence[tuple[int, int]]) -> CostTerms:
+    """Return the terms of rollouts of the first drone's last plan; see `Planner.cost_terms`."""
+    r, M, K = recorder, recorder.sizes.M, recorder.sizes.K
+    for m, k in (*((m, 0) for m in instances), *samples):
+        if not (0 <= m < M and 0 <= k < K):
+            raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
+    o = r.outputs
+    optimised, replaced, flown = (array.numpy()[0] for array in (o.controls, o.braking_instance, o.flown))
+    sampled: Any = r.work.sample_controls.numpy() if samples else None
+    flown_rows = [int(flown) if m == replaced else m for m in instances]
+    controls = [optimised[m] for m in flown_rows] + [sampled[m, :, :, k] for m, k in samples]
+    return evaluate_controls(r, [(0, m) for m in (*flown_rows, *(m for m, _ in samples))], controls)
+
+
+def evaluate_controls(recorder: Recorder, rows: Sequence[tuple[int, int]], controls: Sequence[Any]) -> CostTerms:
+    """Return the terms of rollouts from the start of the last plan.
 
     Args:
-        recorder: the arrays of the planner.
-        rows: drone and instance of each rollout, whose guide it tracks.
-        controls: controls of each rollout, shape [n, N, 4].
-        previous_index: instance of the previous plan, which has no guide; -1 for none.
+        recorder: arrays of the planner.
+        rows: drone, and instance whose guide is tracked, of each.
+        controls: their controls, each of shape [N, 4].
     """
-    r, device = recorder, recorder.params.device
-    terms, count, steps = r.composition.terms, len(rows), r.sizes.N
+    r, device, count = recorder, recorder.params.device, len(rows)
+    steps, terms = r.sizes.N, r.composition.terms
     with wp.ScopedDevice(device):
         # A launch of size 0 is no launch, and an array of size 0 has no memory.
         rows_array = wp.array(np.array(rows or [(0, 0)], dtype=np.int32), dtype=wp.vec2i)
-        controls_array = wp.array(np.ascontiguousarray(controls, dtype=np.float32), dtype=wp.vec4)
+        controls_array = wp.array(
+            np.array(controls if count else [np.zeros((steps, 4))], dtype=np.float32), dtype=wp.vec4
+        )
         values = bundle(
             TermValues,
             values=wp.zeros((max(count, 1), steps, len(terms)), dtype=wp.float32),
@@ -86,7 +99,7 @@ def evaluate_terms(
             write_terms(r.tuning, r.composition),
             count,
             inputs=[
-                r.problem, r.start, r.params, previous_index, r.grid, r.views, r.outputs.guides, rows_array,
+                r.problem, r.start, r.params, r.config.previous_index, r.grid, r.views, r.outputs.guides, rows_array,
                 controls_array,
             ],
             outputs=[values],

@@ -151,7 +151,7 @@ class _Stages:
                 r.problem, r.start, r.params, sizes.M, sizes.A, self._previous_index, r.cells,
                 r.work.initial_directions, r.previous,
             ],
-            outputs=[r.guides, r.nominal_controls],
+            outputs=[r.guides, r.work.nominal_controls],
             block_dim=32,
         )  # fmt: skip
 

@@ -1,13 +1,15 @@
-"""Checks of the arguments of `Planner.plan`, before anything is launched."""
+"""Checks of the arguments of a `Planner`, before anything is launched."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.config import PlannerConfig
 from aero_planner.plan import Goal, VehicleState
 
 _FARTHEST = 1e6
@@ -16,6 +18,27 @@ _EXAMPLES: dict[type, str] = {
     VehicleState: "VehicleState((0, 0, 2), (0, 0, 0), (1, 0, 0, 0))", Goal: "Goal((20, 0, 2))",
 }  # fmt: skip
 _LARGEST = float(np.finfo(np.float64).max)
+
+
+def check_configs(config: PlannerConfig | Sequence[PlannerConfig], batch: int) -> list[PlannerConfig]:
+    """Return the configuration of all drones, or that of each one.
+
+    Raises:
+        ValueError: one is not a PlannerConfig, or there is not one for each drone, or they differ in structure.
+    """
+    configs = list(config) if isinstance(config, Sequence) else [config]
+    for drone_config in configs:
+        if not isinstance(drone_config, PlannerConfig):
+            raise ValueError(
+                f"config is {drone_config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
+            )
+    if isinstance(config, Sequence) and len(configs) != batch:
+        raise ValueError(f"{len(configs)} configurations were given for a batch of {batch}; give one for each.")
+    if any(drone_config.structure() != configs[0].structure() for drone_config in configs):
+        raise ValueError(
+            "the configurations of one batch differ in structure; give them equal samples, steps and grids."
+        )
+    return configs
 
 
 def check_inputs(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import time
 from collections.abc import Sequence
@@ -13,26 +12,24 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.array_memory import PackedArrays, allocate, as_dict, forget
-from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Sizes, Workspace
+from aero_planner.array_memory import PackedArrays, as_dict
+from aero_planner.arrays import CloudArrays, PlannerInputs, PlannerOutputs, Workspace
 from aero_planner.cloud import Cloud, Points
-from aero_planner.composition import Composition
 from aero_planner.config import PlannerConfig
-from aero_planner.cost_terms import CostTerms, evaluate_terms
+from aero_planner.cost_terms import CostTerms, evaluate_controls, evaluate_terms
 from aero_planner.device.kernel_tuning import CPU, CUDA
 from aero_planner.device.params import Params, pack
 from aero_planner.exclusive import Use, exclusive
 from aero_planner.history import History, kept_arrays
-from aero_planner.kernels.mppi import fill_noise
-from aero_planner.kernels.partition import fill_directions
 from aero_planner.launch_sequence import PLAN, usable_cores
 from aero_planner.pipeline import ARRIVAL, PLAN_AND_ARRIVAL, Pipeline
 from aero_planner.plan import Goal, Plan, VehicleState
-from aero_planner.plan_inputs import check_inputs
+from aero_planner.plan_inputs import check_configs, check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
-from aero_planner.recorder import PlannerArrays, Recorder, stage_groups
+from aero_planner.recorder import PlannerArrays, Recorder
 from aero_planner.safety import Safety, judge_instances
 from aero_planner.seeds import Seeds, seeds_of_batch
+from aero_planner.structure import Structure
 from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps, shows_something
 from aero_planner.warp_init import find_device
@@ -75,7 +72,7 @@ class Planner:
         if len(seeds) != (batch or 1):
             raise ValueError(f"{len(seeds)} seeds were given for {batch or 1} drones; give one for each or an integer.")
         if config is not None:
-            _check_configs([config])
+            check_configs([config], 1)
         if threads is not None and threads < 1:
             raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._use = Use("planner")
@@ -87,8 +84,9 @@ class Planner:
         self._workers = 1 if self._device.is_cuda else (threads or usable_cores())
         self._config = config or PlannerConfig()
         self._memory: SweepMemory | None = None
-        self._allocate()
-        self._inputs = PackedArrays(PlannerInputs, self._sizes, self._device)
+        self._structure = self._make_structure()
+        self._assign_seeds()
+        self._inputs = PackedArrays(PlannerInputs, self._structure.sizes, self._device)
         self._set_input_defaults()
         self._cloud = Cloud(batch, self._inputs.arrays.point_count)
         self._scanned = self._cloud.arrays
@@ -104,46 +102,26 @@ class Planner:
         host["ground_height"][:] = -np.inf
         self._inputs.upload()
 
-    def _allocate(self) -> None:
-        """Allocate the arrays whose sizes depend on the structure of the configuration."""
-        composition = Composition.of(self._config)
-        sizes = Sizes.from_config(
-            self._config, composition, batch=self._batch, workers=self._workers, tuning=self._tuning
+    def _make_structure(self) -> Structure:
+        return Structure.allocate(
+            self._config, self._device, batch=self._batch, workers=self._workers, tuning=self._tuning
         )
-        noise = _noise_table(sizes.N, sizes.T, str(self._device))
-        work = allocate(Workspace, sizes, self._device, noise=noise)
-        reported = {stage.name: stage.outputs for stage in composition.stages if stage.outputs is not None}
-        outputs = PackedArrays(PlannerOutputs, sizes, self._device, more=list(reported.values()))
-        reports = dict(zip(reported, outputs.more, strict=True))
-        stages = {
-            stage.name: (
-                None if stage.arrays is None else allocate(stage.arrays, sizes, self._device), reports.get(stage.name)
-            )
-            for stage in composition.stages
-        }  # fmt: skip
-        # Not before: without room for new arrays, the planner goes on with the present ones and its previous plan.
-        self._composition, self._sizes, self._work, self._outputs, self._stages = (
-            composition, sizes, work, outputs, stages,
-        )  # fmt: skip
-        self._work.active.fill_(1)
-        with wp.ScopedDevice(self._device):
-            wp.launch(fill_directions, sizes.F, inputs=[sizes.F0, sizes.F1], outputs=[work.fine_directions])
-        self._assign_seeds()
-        self.reset()
-        self._forget_sweeps()
 
     def _assign_seeds(self) -> None:
         # Seeds may be of any size.
-        self._work.seed.assign(np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32))
+        seeds = np.array([seed % 2**32 for seed in self._seeds], dtype=np.int64).astype(np.int32)
+        self._structure.work.seed.assign(seeds)
 
     def _arrays(self) -> PlannerArrays:
+        own = self._structure
         change = self._memory.change if self._memory is not None and self._scanned is self._memory.arrays else None
         return PlannerArrays(
-            self._inputs.arrays, self._outputs.arrays, self._work, self._stages, self._scanned, change, self._params
+            self._inputs.arrays, own.outputs.arrays, own.work, own.stages, self._scanned, change, self._params
         )
 
     def _make_pipeline(self) -> Pipeline:
-        return Pipeline(self._config, self._composition, self._sizes, self._tuning, self._arrays())
+        own = self._structure
+        return Pipeline(self._config, own.composition, own.sizes, self._tuning, self._arrays())
 
     def _scan(self, cloud: CloudArrays) -> None:
         """Plan from this cloud from now on."""
@@ -154,8 +132,7 @@ class Planner:
 
     def _forget_sweeps(self) -> None:
         """Forget what is known from the sweeps so far, such as the tracks of dynamic obstacles."""
-        for group in stage_groups(self._stages):
-            forget(group, "sweeps")
+        self._structure.forget("sweeps")
         if self._memory is not None:
             self._memory.forget_motion()
 
@@ -187,12 +164,12 @@ class Planner:
     @property
     def outputs(self) -> PlannerOutputs:
         """Device arrays that `launch` writes."""
-        return self._outputs.arrays
+        return self._structure.outputs.arrays
 
     @property
     def workspace(self) -> Workspace:
         """Device arrays of intermediate results, for tests and benchmarks; a structural change replaces them."""
-        return self._work
+        return self._structure.work
 
     def arrays_of(self, stage: str) -> dict[str, wp.array]:
         """Return the device arrays of an active stage by name, for tests and benchmarks.
@@ -200,9 +177,10 @@ class Planner:
         Raises:
             ValueError: there is no such stage, or it is not active.
         """
-        if stage not in self._stages:
-            raise ValueError(f"stage {stage!r} is not active; stages.active lists {', '.join(self._stages) or 'none'}.")
-        groups = [group for group in self._stages[stage] if group is not None]
+        active = self._structure.stages
+        if stage not in active:
+            raise ValueError(f"stage {stage!r} is not active; stages.active lists {', '.join(active) or 'none'}.")
+        groups = [group for group in active[stage] if group is not None]
         return {name: array for group in groups for name, array in as_dict(group).items()}
 
     @property
@@ -219,7 +197,7 @@ class Planner:
     @property
     def command(self) -> wp.array:
         """Device array of the controls to fly, shape [B, N], vec4 of F_t [N] and omega [rad/s]."""
-        return self._work.previous_controls
+        return self._structure.work.previous_controls
 
     @exclusive
     def configure(self, config: PlannerConfig | Sequence[PlannerConfig]) -> None:
@@ -233,30 +211,21 @@ class Planner:
                 in structure.
             MemoryError, RuntimeError: the device has no room for the new structure; the present one stays.
         """
-        configs = list(config) if isinstance(config, Sequence) else [config]
-        _check_configs(configs)
-        if not isinstance(config, PlannerConfig) and len(configs) != self._batch:
-            raise ValueError(
-                f"{len(configs)} configurations were given for a batch of {self._batch}; give one for each."
-            )
-        structure = configs[0].structure()
-        if any(drone_config.structure() != structure for drone_config in configs):
-            raise ValueError(
-                "the configurations of one batch differ in structure; give them equal samples, steps and grids."
-            )
+        configs = check_configs(config, self._batch)
         before, self._config = self._config, configs[0]
-        if structure != before.structure():
-            arrays = self._composition, self._sizes, self._work, self._outputs, self._stages
+        if configs[0].structure() != before.structure():
+            present = self._structure
             try:
-                self._allocate()
+                self._structure = self._make_structure()
+                self._assign_seeds()
                 self._replace_pipeline()
             except Exception:
-                self._config = before
-                self._composition, self._sizes, self._work, self._outputs, self._stages = arrays
+                self._config, self._structure = before, present
                 self._replace_pipeline()
                 raise
+            self._forget_sweeps()
         self._write_params(configs)
-        sections = ("partition", *self._stages)
+        sections = ("partition", *self._structure.stages)
         if any(getattr(configs[0], name) != getattr(before, name) for name in sections):
             self._forget_sweeps()  # they may show something else by other parameters
 
@@ -306,18 +275,17 @@ class Planner:
         if seed is not None:
             self._seeds = seeds_of_batch(seed, len(self._seeds))
             self._assign_seeds()
-        for group in (self._work, *stage_groups(self._stages)):
-            forget(group, "plans")
+        self._structure.forget("plans")
 
     @exclusive
     def history(self) -> History:
         """Return the state that the next plan builds on; `restore` makes that plan repeatable bit for bit."""
-        return History.of((self._work, *stage_groups(self._stages)))
+        return History.of(self._structure.groups)
 
     @exclusive
     def restore(self, history: History) -> None:
         """Continue from `history`. If it has another structure or batch, the planner is reset instead."""
-        if not history.write_to((self._work, *stage_groups(self._stages))):
+        if not history.write_to(self._structure.groups):
             self.reset()
 
     @exclusive
@@ -333,9 +301,9 @@ class Planner:
         if active is None:
             self._pipeline.run()
             return
-        wp.copy(self._work.active, active)
+        wp.copy(self._structure.work.active, active)
         self._pipeline.run()
-        self._work.active.fill_(1)
+        self._structure.work.active.fill_(1)
 
     def _arrive(self) -> None:
         """Run the launches of a sweep that arrives."""
@@ -376,7 +344,7 @@ class Planner:
             ValueError: an input has the wrong type or shape or is not finite; nothing was launched.
             RuntimeError: another thread is using the planner, or it is closed.
         """
-        started = time.perf_counter()
+        started, own = time.perf_counter(), self._structure
         checked = check_inputs(state, goal, cloud_age, ground_height, (self._batch,) if self._batched else ())
         host = self._inputs.host()
         for name, value in checked.items():
@@ -393,26 +361,20 @@ class Planner:
             self._inputs.upload()
         uploaded = time.perf_counter()
         self._pipeline.run(stages)
-        self._outputs.start_download()
-        values = self._outputs.finish_download()
+        own.outputs.start_download()
+        values = own.outputs.finish_download()
         done = time.perf_counter()
         stage_ms = {"inputs": 1e3 * (uploaded - started)}
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
-        sampled = sampled_positions(self._work, self._sizes, values["positions"]) if samples else None
+        sampled = sampled_positions(own.work, own.sizes, values["positions"]) if samples else None
         return make_plan(
-            values, self._config, self._composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
+            values, self._config, own.composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
         )
 
     def _write_points(self, points: Points, clouds: list[Any]) -> None:
         if not self._cloud.is_current(points):
-            counts = [len(cloud) for cloud in clouds]
-            if max(counts) > self._cloud.capacity:
-                # Some room to grow: a cloud that gains a few points with each sweep must not rebuild the graph each
-                # time.
-                self._cloud.reserve(max(counts) * 5 // 4)
-            self._cloud.write(points, clouds)
-            self._inputs.host()["point_count"][:] = counts
+            self._inputs.host()["point_count"][:] = self._cloud.write(points, clouds)
         self._scan(self._cloud.arrays)
 
     def _write_sweeps(self, sweeps: Sweeps) -> str:
@@ -443,19 +405,7 @@ class Planner:
         Raises:
             ValueError: there is no such instance or sample.
         """
-        M, K = self._sizes.M, self._sizes.K
-        for m, k in (*((m, 0) for m in instances), *samples):
-            if not (0 <= m < M and 0 <= k < K):
-                raise ValueError(f"there is no sample {k} of instance {m}; a plan has {M} instances of {K} samples.")
-        o = self._outputs.arrays
-        optimised, replaced, flown = (array.numpy()[0] for array in (o.controls, o.braking_instance, o.flown))
-        sampled: Any = self._work.sample_controls.numpy() if samples else None
-        flown_rows = [int(flown) if m == replaced else m for m in instances]
-        controls = [optimised[m] for m in flown_rows] + [sampled[m, :, :, k] for m, k in samples]
-        rows = [(0, m) for m in (*flown_rows, *(m for m, _ in samples))]
-        shape = (max(len(rows), 1), self._sizes.N, 4)
-        values = np.reshape(controls, shape) if rows else np.zeros(shape)
-        return evaluate_terms(self._recorder(), rows, values, self._config.previous_index)
+        return evaluate_terms(self._recorder(), instances, samples)
 
     @exclusive
     def costs_of(self, controls: ArrayLike) -> CostTerms:
@@ -469,10 +419,10 @@ class Planner:
         Raises:
             ValueError: they have another shape.
         """
-        controls, steps = np.asarray(controls, dtype=np.float32), self._sizes.N
+        controls, steps = np.asarray(controls, dtype=np.float32), self._structure.sizes.N
         if controls.ndim != 3 or controls.shape[1:] != (steps, 4):
             raise ValueError(f"controls have the shape {list(controls.shape)}; give [n, {steps}, 4].")
-        return evaluate_terms(self._recorder(), [(0, 0)] * len(controls), controls, self._config.previous_index)
+        return evaluate_controls(self._recorder(), [(0, 0)] * len(controls), controls)
 
     @exclusive
     def safety(self) -> Safety:
@@ -485,8 +435,9 @@ class Planner:
 
     def _recorder(self) -> Recorder:
         """Return the arrays as kernels take them, for launches that are not part of a plan."""
+        own = self._structure
         return Recorder(
-            lambda *_, **__: lambda: None, self._config, self._composition, self._sizes, self._tuning, self._arrays()
+            lambda *_, **__: lambda: None, self._config, own.composition, own.sizes, self._tuning, self._arrays()
         )
 
     @exclusive
@@ -510,8 +461,12 @@ class Planner:
         Returns:
             The file, with the suffix ".wrp".
         """
-        inputs = as_dict(self.inputs) | {"points": self.points, "params": self.params, "seed": self._work.seed}
-        inputs |= kept_arrays((self._work, *stage_groups(self._stages)))
+        inputs = as_dict(self.inputs) | {
+            "points": self.points,
+            "params": self.params,
+            "seed": self._structure.work.seed,
+        }
+        inputs |= kept_arrays(self._structure.groups)
         graph = self._pipeline.capture_graph()
         wp.capture_save(graph, os.fspath(path), inputs=inputs, outputs=as_dict(self.outputs))
         return Path(path).with_suffix(".wrp")
@@ -528,21 +483,3 @@ def _shows(cloud: Any, position: NDArray[np.float64], empty: bool) -> bool:
         few = (cloud[:_LOOKED_AT] if len(cloud) > _LOOKED_AT else cloud).numpy()
         cloud = few if np.isfinite(few).all(axis=1).any() else cloud.numpy()
     return shows_something(cloud, position, empty=empty)
-
-
-@functools.lru_cache(maxsize=4)
-def _noise_table(steps: int, sequences: int, device: str) -> wp.array:
-    """Return the table of noise, which all planners with as many steps share: to draw it takes 27 ms, on a CPU."""
-    noise = wp.zeros((steps, 4, sequences), dtype=wp.float32, device=device)
-    wp.launch(fill_noise, (steps, sequences), outputs=[noise], device=device)
-    wp.synchronize_device(device)  # another planner may have a stream of its own
-    return noise
-
-
-def _check_configs(configs: Sequence[Any]) -> None:
-    """Raise a ValueError unless all configurations are such."""
-    for config in configs:
-        if not isinstance(config, PlannerConfig):
-            raise ValueError(
-                f"config is {config!r}; it must be a PlannerConfig, such as PlannerConfig.preset('paper')."
-            )

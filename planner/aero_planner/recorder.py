@@ -75,7 +75,7 @@ class Recorder:
         self.tuning, self.batch_tuning, self.arrays = tuning, tuning.for_batch(sizes.B), arrays
         i, o, w = arrays.inputs, arrays.outputs, arrays.work
         self.inputs, self.outputs, self.work = i, o, w
-        self.params, self.change, self.nominal_controls = arrays.params, arrays.change, w.nominal_controls
+        self.params, self.change = arrays.params, arrays.change
         self.problem = bundle(
             records.Problem, active=w.active, goal=i.goal_position,
             **{name: getattr(i, name) for name in (

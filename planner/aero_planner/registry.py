@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import importlib
 import sys
-from importlib.metadata import entry_points
+from importlib import metadata
 from typing import Any, Literal
 
 from aero_planner.parameters import ParameterSection
@@ -57,9 +57,15 @@ def add(kind: Kind, name: str, part: Any) -> None:
 @functools.cache
 def names(kind: Kind) -> tuple[str, ...]:
     """Return the names of all stages, cost terms or models: shipped, added, and of entry points."""
-    found = {entry.name: entry.value for entry in entry_points(group=f"aero_planner.{kind}")}
+    found = {entry.name: entry.value for entry in _entry_points().select(group=f"aero_planner.{kind}")}
     _added[kind] = found | _added[kind]
     return (*_SHIPPED[kind], *(name for name in _added[kind] if name not in _SHIPPED[kind]))
+
+
+@functools.cache
+def _entry_points() -> Any:
+    """Return the entry points of all distributions; reading them takes longer than everything else here."""
+    return metadata.entry_points()
 
 
 @functools.cache

@@ -8,7 +8,6 @@ from command_line import run, terminal_text
 from aero_planner import PlannerConfig
 from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
 from aero_viz.cli.page import flight_opener
-from aero_viz.cli.renamed_flags import replace_renamed_flags
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.sensors import LIDARS
@@ -54,23 +53,6 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("costs:\n  q_track: 7\n")
     assert flags(str(file)).load().costs.use_ground
-
-
-def test_flags_and_files_of_the_last_release_are_accepted_with_a_notice(tmp_path, caplog: pytest.LogCaptureFixture):
-    arguments = ["forest", "--escape.radius", "3", "--candidates.prove-stop", "off", "--candidates.brake=true"]
-    arguments += ["--vehicle.rate_xy_lag=0.07", "--speed", "4"]
-    current = ["forest", "--way-out.radius", "3", "--vehicle.rate-lag=0.07", "--speed", "4"]
-    assert replace_renamed_flags(arguments) == current
-    assert "candidates.brake is ignored: flights without it arrive as often" in caplog.text
-    assert "escape.radius is now way_out.radius" in caplog.text
-    assert "candidates.prove_stop is ignored: stop_proof.prove_stop switches the stop proof" in caplog.text
-    caplog.clear()
-    file = tmp_path / "old.yaml"
-    file.write_text("escape:\n  radius: 3\n  guide_depth: 2.0\npartition:\n  view_min: -20\n")
-    expected = PlannerConfig().replace({"way_out.radius": 3.0, "unseen_space.view_min": -20.0})
-    assert flags(str(file)).load() == expected
-    assert "line 2: escape.radius is now way_out.radius" in caplog.text
-    assert "line 3: escape.guide_depth is ignored" in caplog.text
 
 
 def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str]):

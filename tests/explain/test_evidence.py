@@ -78,19 +78,6 @@ def test_terms_add_up_for_a_drone_that_is_not_its_model(replan, name: str):
 
 
 @pytest.mark.parametrize("flight", FLIGHTS)
-def test_the_planner_chooses_the_cheapest_safe_instance(flight):
-    prefers_safe = flight[-1] != "paper"
-    for evidence in evidence_of(*flight):
-        plan, best = evidence.frame.plan, int(evidence.frame.plan.best)
-        if plan.status == PlanStatus.OK:
-            assert evidence.is_safe[best]
-            assert best == np.where(evidence.is_safe | (not prefers_safe), plan.stage2_cost, np.inf).argmin()
-        else:
-            assert not evidence.is_safe[best]
-            assert not (prefers_safe and evidence.is_safe.any())
-
-
-@pytest.mark.parametrize("flight", FLIGHTS)
 def test_every_instance_has_its_sentence(flight):
     for evidence in evidence_of(*flight):
         plan, best = evidence.frame.plan, int(evidence.frame.plan.best)

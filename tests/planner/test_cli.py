@@ -170,7 +170,7 @@ def test_a_device_without_memory_is_reported(
     def fail(*_: object, **__: object) -> None:
         raise RuntimeError("Failed to allocate 2147483648 bytes on device 'cuda:0'")
 
-    monkeypatch.setattr("aero_planner.planner.allocate", fail)
+    monkeypatch.setattr("aero_planner.structure.allocate", fail)
     code, out, err = call(*command, "--config", str(flight_file))
     assert code == 2 and "plan" in out + err and "Failed to allocate 2147483648 bytes" in out + err
     assert command == ["run"] or "NOT ready to fly" in out

@@ -213,7 +213,7 @@ def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, m
             raise MemoryError("no room")
         return allocate(kind, sizes, device, **present)
 
-    monkeypatch.setattr("aero_planner.planner.allocate", out_of_memory)
+    monkeypatch.setattr("aero_planner.structure.allocate", out_of_memory)
     session.configure({"sampling.samples": 2000})
     assert session.config == good
     assert run(session, 2)[-1].plan.stage1_cost.shape == (16, 16)

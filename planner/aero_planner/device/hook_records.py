@@ -11,7 +11,6 @@ class Estimate:
 
     since: float  # time since the previous plan [s]; NaN without one
     horizon: float  # length of the horizon, T [s]
-    quaternion: wp.vec4  # attitude, body to world
     velocity: wp.vec3  # [m/s]
     measured: wp.vec3  # acceleration; NaN: unknown
     modelled: wp.vec3  # acceleration by the model at the control in effect, without disturbance and drag
@@ -27,7 +26,6 @@ class Spread:
 
     p: wp.vec3  # position of the drone, world frame [m]
     speed: float  # [m/s]
-    tick: int  # number of plans so far
     columns: float  # factor on the spacing of the columns
     rows: float  # factor on the spacing of the rows
     clip: int  # 1 if guides end in front of what their cells measured
@@ -40,4 +38,3 @@ class Fallback:
     status: int  # `PlanStatus`, not OK
     flown: int  # row that is flown
     clearance: wp.vec2  # of that row, see `Scores.least_clearance`
-    clear_stop: float  # clearance that is demanded of a stop [m]

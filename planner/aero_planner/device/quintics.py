@@ -44,12 +44,6 @@ def guide_position(c: Quintic, s: float) -> wp.vec3:
     return c.a0 + s * (c.a1 + s * (c.a2 + s * (c.a3 + s * (c.a4 + s * c.a5))))
 
 
-@wp.func
-def guide_velocity(c: Quintic, s: float) -> wp.vec3:
-    """Return the velocity of a guide at time s."""
-    return c.a1 + s * (2.0 * c.a2 + s * (3.0 * c.a3 + s * (4.0 * c.a4 + (5.0 * s) * c.a5)))
-
-
 @wp.struct
 class GuideForce:
     """Coefficients of the force per mass that follows a guide, b0 + b1 s + .. + b4 s^4 [m/s^2], world frame."""

@@ -125,9 +125,9 @@ class Scores:
     collision_cost: wp.array2d(dtype=float)  # [B, R], J_col
     stage2_cost: wp.array2d(dtype=float)  # [B, R], S2
     clearance: wp.array3d(dtype=float)  # [B, R, N], after each control, at most d_max [m]
-    # Of N states, the probes of the cost-to-go, N midpoints between states, and the start, less the speed margin:
-    state_clearance: wp.array3d(dtype=float)  # [B, R, Q + N + 1], from all obstacles [m]
-    static_clearance: wp.array3d(dtype=float)  # [B, R, Q + N + 1], from static ones [m]
+    # Of Q positions, which are N states and the probes of the cost-to-go, and of the start, less the speed margin:
+    state_clearance: wp.array3d(dtype=float)  # [B, R, Q + 1], from all obstacles [m]
+    static_clearance: wp.array3d(dtype=float)  # [B, R, Q + 1], from static ones [m]
     # [B, R], least clearance from all obstacles, for which dynamic ones that are near at the start count as farther,
     # and from static ones [m]
     least_clearance: wp.array2d(dtype=wp.vec2)

@@ -70,7 +70,6 @@ def place_anchors(composition: Composition) -> wp.Kernel:
         spread = Spread()
         spread.p = p
         spread.speed = speed
-        spread.tick = previous.tick[b]
         spread.columns = 1.0
         spread.rows = 1.0
         spread.clip = 0

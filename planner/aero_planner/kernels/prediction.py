@@ -120,7 +120,6 @@ def predict_state(composition: Composition) -> wp.Kernel:
         e = Estimate()
         e.since = since
         e.horizon = horizon
-        e.quaternion = q
         e.velocity = v
         e.measured = problem.acceleration[b]
         e.modelled = acceleration_of(v, q, acting, constants(zero, 0.0, c.dt, c))

@@ -282,7 +282,6 @@ def fallback(composition: Composition) -> wp.Function:
         """
         f = Fallback()
         f.status = status
-        f.clear_stop = clear_stop
         f.flown = instances
         f.clearance = scores.least_clearance[b, instances]
         for k in range(1, BRAKING_FAN):

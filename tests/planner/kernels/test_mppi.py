@@ -209,24 +209,3 @@ def test_sampled_controls_respect_the_limits(device: str):
     low, high = np.array([0.3, -3, -3, -2]), np.array([16.35, 3, 3, 2])
     for u in (sampled_controls(planner, plan), plan.controls):
         assert (u >= low - 1e-5).all() and (u <= high + 1e-5).all()
-
-
-def test_cost_to_go_is_the_blocked_length(device: str):
-    """Behind a wall, every blocked probe counts as half a metre of the 5 m beyond the final state."""
-    config = config_of(costs__q_blocked=100.0, costs__distance_min=0.5, sampling__variance_thrust=0.0,
-                       sampling__variance_rate_xy=0.0, sampling__variance_rate_z=0.0)  # fmt: skip
-    case = random_case(0, count=0, tilt=0.0)
-    case.velocity, case.acceleration = np.zeros(3), np.zeros(3)
-    case.goal = case.beside(30, 0, 0)
-    y, z = np.meshgrid(np.arange(-3, 3, 0.1), np.arange(-3, 3, 0.1))
-    wall = np.stack((np.full_like(y, 4.0), y, z), -1).reshape(-1, 3)
-    case.points = (wall + case.position).astype(np.float32)
-    plan = case.plan(Planner(config, device=device))
-    to_go, checked = plan.stage2_cost - plan.goal_cost - plan.collision_cost, 0
-    for m in range(len(plan.kinds)):
-        end = plan.positions[m, -1].astype(np.float64)
-        places, _ = reference.probes(end, case.goal, config)
-        if np.abs(reference.clearance(places, kept_points(plan), 9.0) - 0.5).min() > 1e-4:
-            assert to_go[m] == pytest.approx(reference.J_blocked(end, case.goal, kept_points(plan), config), abs=0.05)
-            checked += 1
-    assert checked > 10 and 50.0 < np.median(to_go) < 200.0

@@ -104,7 +104,7 @@ AllScores: Any = Scores
 @wp.kernel
 def allowance_kernel(scores: AllScores, params: wp.array(dtype=Params), out: wp.array(dtype=float)):
     m = wp.tid()
-    out[m] = dynamic_allowance(0, m, scores, params[0])
+    out[m] = dynamic_allowance(0, m, scores, params[0])  # pyright: ignore[reportArgumentType]
 
 
 def test_dynamic_obstacles_near_the_start_may_come_nearer_but_static_ones_may_not(device: str):

@@ -12,7 +12,7 @@ import warp as wp
 from aero_planner.array_memory import array
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Hooks, Launches, Stage
-from aero_planner.stages.stop_proof import stops
+from aero_planner.stages.stop_proof import proven_stop, stops
 from aero_planner.stages.stop_proof.stops import STOPS
 
 _NAME = "stop_proof"
@@ -38,10 +38,10 @@ class Arrays:
 
 def _continue(r: Recorder) -> list[list[Launches]]:
     launch = r.record(
-        stops.continue_stop(r.tuning, r.composition),
+        proven_stop.continue_stop(r.tuning, r.composition),
         (r.sizes.B, r.tuning.threads_per_instance),
         inputs=[r.problem, r.start, r.params, r.previous],
-        outputs=[_proven(r), r.guides, r.nominal_controls],
+        outputs=[_proven(r), r.guides, r.work.nominal_controls],
         block_dim=32,
     )
     return [[[launch]]]
@@ -73,7 +73,7 @@ def _evaluate(r: Recorder) -> list[list[Launches]]:
 
 def _keep(r: Recorder) -> list[list[Launches]]:
     launch = r.record(
-        stops.keep_stop(r.tuning, r.composition),
+        proven_stop.keep_stop(r.tuning, r.composition),
         (r.sizes.B, r.tuning.threads_per_instance),
         inputs=[r.start, r.params, r.choice, r.scores, r.bind(stops.Stops, _NAME)],
         outputs=[r.rollouts, r.previous, _proven(r)],
@@ -83,7 +83,7 @@ def _keep(r: Recorder) -> list[list[Launches]]:
 
 
 def _proven(r: Recorder) -> Any:
-    return r.bind(stops.ProvenStop, _NAME)
+    return r.bind(proven_stop.ProvenStop, _NAME)
 
 
 STAGE = Stage(

@@ -19,7 +19,7 @@ from aero_planner.kernels.selection import fallback
 from aero_planner.stages.stop_proof.stops import STOPS, StopProof, stop_to_keep
 from tests.planner import reference
 from tests.planner.cases import Case, config_of, kept_points, level_case, random_case, shell
-from tests.planner.pillars import GOAL, sweeps_of
+from tests.planner.pillars import GOAL, plan_from, sweeps_of
 from tests.planner.reference import Array
 
 LAGS: dict[str, Any] = {"vehicle.thrust_lag": 0.05, "vehicle.rate_lag": 0.07}
@@ -145,6 +145,19 @@ def test_a_stop_behind_what_was_seen_is_not_clear(device: str):
         assert (found[is_sure & (expected == 0.0)] < planner.config.stop_proof.stop_clearance).all()
         is_clear.append(int((found >= planner.config.stop_proof.stop_clearance).sum()))
     assert is_clear[0] < is_clear[1]
+
+
+def test_a_dynamic_obstacle_that_is_near_at_the_start_may_be_left(device: str):
+    """It passes by behind the drone, nearer than a stop must keep away, and comes no nearer."""
+    planner = Planner(config_of(), device=device)
+    sweeps, position = sweeps_of([(np.array([-0.5, -0.6]), np.array([0.0, 2.0]))], np.zeros(3))
+    plan = plan_from(planner, sweeps, position, later=0.3)
+    least, work = planner.config.stop_proof.stop_clearance, planner.workspace
+    start, static = (clearance.numpy()[0, 0, -1] for clearance in (work.state_clearance, work.static_clearance))
+    assert 0.1 < start < least - 0.03 and static > least
+    assert plan.status == PlanStatus.OK
+    stops = planner.arrays_of("stop_proof")["stop_clearance"].numpy()[0].reshape(-1, int(STOPS))
+    assert (stops[:, :3] >= least).any(), "also of those that leave at once"
 
 
 def closing_in(planner: Planner, *, period: float = 0.02, count: int = 6) -> tuple[list[Plan], list[Array]]:
