@@ -99,7 +99,8 @@ class Obstacle:
 
     def turned(self, yaw: float) -> Obstacle:
         """Return a box with another `yaw` [rad], another solid unchanged."""
-        return Obstacle(self.kind, np.append(self.values[:6], math.remainder(yaw, math.tau))) if self.kind == "boxes" else self
+        yaw = math.remainder(yaw, math.tau)
+        return Obstacle(self.kind, np.append(self.values[:6], yaw)) if self.kind == "boxes" else self
 
 
 def new_obstacle(kind: str, center: ArrayLike, size: ArrayLike) -> Obstacle:
