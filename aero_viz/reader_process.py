@@ -25,6 +25,7 @@ from aero_planner.user_file import restrict_user_files, user_folders
 from aero_viz.answers import decode, encode
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
+from aero_viz.sandbox import confine
 
 T = TypeVar("T")
 
@@ -283,6 +284,7 @@ def _serve() -> None:
     answers = os.fdopen(os.dup(1), "wb")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # whatever a library prints is no answer
     _lower_priority()
+    confined_to: set[tuple[str, ...] | None] = set()
     while True:
         try:
             limits, folders, *request = pickle.load(sys.stdin.buffer)
@@ -290,6 +292,9 @@ def _serve() -> None:
             os._exit(0)  # the threads of a library must not hold up the end
         _limit_resources(limits)
         restrict_user_files(folders)
+        if folders not in confined_to:
+            confine(folders)
+            confined_to.add(folders)
         answers.write(_bytes_read(os.getpid()).to_bytes(_COUNT_BYTES, "little"))
         answers.flush()
         answers.write(_answer((request[0], request[1], request[2])))

@@ -14,12 +14,13 @@ from aero_planner.lazy_import import lazy_exports
 if TYPE_CHECKING:
     from aero_planner.config import PlannerConfig
     from aero_planner.deploy.aot import compile_ahead, warmup
-    from aero_planner.plan import Goal, Plan, PlanStatus, VehicleState
+    from aero_planner.plan import BatchPlan, Goal, Plan, PlanStatus, VehicleState
     from aero_planner.planner import Planner
     from aero_planner.sweeps import Arrival, Sweeps
 
 __all__ = [
     "Arrival",
+    "BatchPlan",
     "Goal",
     "Plan",
     "PlanStatus",
@@ -35,7 +36,7 @@ __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "config": ("PlannerConfig",),
-        "plan": ("Goal", "Plan", "PlanStatus", "VehicleState"),
+        "plan": ("BatchPlan", "Goal", "Plan", "PlanStatus", "VehicleState"),
         "planner": ("Planner",),
         "sweeps": ("Arrival", "Sweeps"),
         "deploy.aot": ("compile_ahead", "warmup"),

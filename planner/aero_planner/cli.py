@@ -81,7 +81,7 @@ def make_parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     parser.set_defaults(module=None)
     commands = parser.add_subparsers(dest="command", metavar="COMMAND")
 
-    files = argparse.ArgumentParser(add_help=False)
+    files = Parser(add_help=False)
     files.add_argument(
         "--config",
         help="preset, or YAML file saved from the dashboard; it may contain the node's settings under 'onboard:'",
@@ -89,7 +89,7 @@ def make_parser(added_commands: Sequence[str]) -> argparse.ArgumentParser:
     files.add_argument(
         "--onboard", metavar="FILE", help="YAML file with the node's settings, if they are not in --config"
     )
-    flight = argparse.ArgumentParser(add_help=False, parents=[files])
+    flight = Parser(add_help=False, parents=[files])
     flight.add_argument(
         "--goal", nargs=3, type=float, metavar=("X", "Y", "Z"), help="goal position: north, west, up [m]"
     )

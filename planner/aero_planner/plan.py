@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
 Array = NDArray[np.float32]
 
 
@@ -94,12 +97,12 @@ def _none() -> None:
     """Return the default of a field that `Plan.with_lazy_arrays` may make: a plain default would hide that one."""
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """Result of one `Planner.plan` call. Its arrays are copies that no later call changes.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PlanArrays:
+    """What the plans of one drone and of a batch have in common. The arrays are copies that no later call changes.
 
-    There are M instances (anchors first) with K samples each, and N time steps of dt. With a batch, every array has a
-    leading axis B, and `best`, `status`, `dropped_points` and `drag` are arrays of shape [B].
+    There are M instances (anchors first) with K samples each, and N time steps of dt. With a batch of B drones, every
+    array has a leading axis B.
     """
 
     fine_range: Array
@@ -112,9 +115,6 @@ class Plan:
     """Largest fine range of each coarse cell [m], shape [10, 20]."""
     safe_direction: Array
     """Direction of that fine cell, shape [10, 20, 3], body frame."""
-    filtered_points: NDArray[np.float32] | list[NDArray[np.float32]]
-    """Nearest point of each occupied fine cell [m], shape [F, 3], world frame; a list of B arrays with a batch. It
-    includes those of `continued_cells`."""
     initial_endpoints: Array
     """Endpoints before the refinement [m], shape [M, 3], world frame."""
     anchors: Array
@@ -146,16 +146,9 @@ class Plan:
     """J_col of every instance, shape [M]."""
     clearance: Array
     """Distance to the nearest filtered point or dynamic obstacle after each control, at most d_max [m], [M, N]."""
-    best: int | NDArray[np.int32]
-    """Index of the instance to fly: `controls[best]`."""
-    status: PlanStatus | NDArray[np.int32]
-    dropped_points: int | NDArray[np.int32]
-    """Number of points that were not finite."""
     disturbance: Array | None = None
     """Acceleration besides thrust, gravity and drag that the plan counts on [m/s^2], shape [3], world frame; see
     disturbance.disturbance_time. None in plans of a drone with an older version."""
-    drag: float | NDArray[np.float32] | None = None
-    """Deceleration per velocity that the plan counts on [1/s], see disturbance.drag_time. None as above."""
     stage_ms: dict[str, float] = field(default_factory=dict)
     """Time of each stage [ms]."""
     samples: Array | None = None
@@ -169,7 +162,7 @@ class Plan:
     """Vehicle model, which says what the controls are; see vehicle.model."""
 
     @classmethod
-    def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Plan:
+    def with_lazy_arrays(cls, make: Callable[[str], Any], **known: Any) -> Self:
         """Return a plan whose fields are `known`, or the results of `make` for their names when they are first read."""
         plan = object.__new__(cls)
         plan.__dict__.update(known, _make=make)
@@ -183,9 +176,43 @@ class Plan:
                 raise AttributeError(f"a plan has no attribute {name!r}")
             return self.__dict__.setdefault(name, make(name))
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Plan(PlanArrays):
+    """Result of one `Planner.plan` call for one drone."""
+
+    filtered_points: Array
+    """Nearest point of each occupied fine cell [m], shape [F, 3], world frame, including those of `continued_cells`."""
+    best: int
+    """Index of the instance to fly: `controls[best]`."""
+    status: PlanStatus
+    dropped_points: int
+    """Number of points that were not finite."""
+    drag: float | None = None
+    """Deceleration per velocity that the plan counts on [1/s], see disturbance.drag_time. None as for `disturbance`."""
+
     @property
     def command(self) -> Array:
-        """Controls to fly, `controls[best]`, shape [N, 4]; with a batch [B, N, 4]."""
-        if isinstance(self.best, np.ndarray):
-            return self.controls[np.arange(len(self.best)), self.best]
+        """Controls to fly, `controls[best]`, shape [N, 4]."""
         return self.controls[self.best]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BatchPlan(PlanArrays):
+    """Result of one `Planner.plan` call for a batch of B drones."""
+
+    filtered_points: list[Array]
+    """As in `Plan`, for each drone."""
+    best: NDArray[np.int32]
+    """Index of the instance to fly of each drone, shape [B]."""
+    status: NDArray[np.int32]
+    """`PlanStatus` of each drone, shape [B]."""
+    dropped_points: NDArray[np.int32]
+    """Number of points of each drone that were not finite, shape [B]."""
+    drag: Array
+    """As in `Plan`, shape [B]."""
+
+    @property
+    def command(self) -> Array:
+        """Controls to fly, shape [B, N, 4]."""
+        return self.controls[np.arange(len(self.best)), self.best]

@@ -12,7 +12,7 @@ from aero_planner.arrays import Sizes, Workspace
 from aero_planner.config import PlannerConfig
 from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
 from aero_planner.kernels.guides import BRAKING_FAN
-from aero_planner.plan import BrakingCandidates, Plan, PlanStatus
+from aero_planner.plan import BatchPlan, BrakingCandidates, Plan, PlanArrays, PlanStatus
 from aero_planner.stage import Stage
 
 _PER_INSTANCE = frozenset({
@@ -35,7 +35,7 @@ def make_plan(
     batched: bool,
     stage_ms: dict[str, float],
     samples: NDArray[np.float32] | None,
-) -> Plan:
+) -> PlanArrays:
     """Return the plan of the values of `PlannerOutputs`; `Plan` describes the other arguments.
 
     Args:
@@ -48,7 +48,7 @@ def make_plan(
     """
     arrays = _PlanArrays(values, config, stages, batched)
     best, status, dropped_points = values["best"], values["status"], values["dropped_points"]
-    return Plan.with_lazy_arrays(
+    return (BatchPlan if batched else Plan).with_lazy_arrays(
         arrays,
         best=best if batched else int(best[0]),
         status=status if batched else PlanStatus(int(status[0])),

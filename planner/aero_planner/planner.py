@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, cast, overload
 
 import numpy as np
 import warp as wp
@@ -23,7 +23,7 @@ from aero_planner.exclusive import Use, exclusive
 from aero_planner.history import History, kept_arrays
 from aero_planner.launch_sequence import PLAN, usable_cores
 from aero_planner.pipeline import ARRIVAL, PLAN_AND_ARRIVAL, Pipeline
-from aero_planner.plan import Goal, Plan, VehicleState
+from aero_planner.plan import BatchPlan, Goal, Plan, PlanArrays, VehicleState
 from aero_planner.plan_inputs import check_configs, check_inputs
 from aero_planner.plan_outputs import make_plan, sampled_positions
 from aero_planner.recorder import PlannerArrays, Recorder
@@ -34,13 +34,22 @@ from aero_planner.sweep_memory import SweepMemory
 from aero_planner.sweeps import Sweeps, shows_something
 from aero_planner.warp_init import find_device
 
+if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
+    _Plan = TypeVar("_Plan", bound=PlanArrays, default=Plan, covariant=True)
+else:
+    from typing import TypeVar
+
+    _Plan = TypeVar("_Plan")
+
 _LOOKED_AT = 64
 """Number of points of a cloud on the device that are looked at first."""
 _MIN_SWEEPS = 16
 """Sweeps for which there is room at least."""
 
 
-class Planner:
+class Planner(Generic[_Plan]):
     """The AERO-MPPI planner on one device. One thread at a time may use it: another one gets a RuntimeError.
 
     Args:
@@ -56,6 +65,28 @@ class Planner:
         ValueError: the device does not exist, config is not a PlannerConfig, batch or threads is less than 1, or the
             number of seeds is not that of drones, or one is not a whole number.
     """
+
+    @overload
+    def __init__(
+        self: Planner[Plan],
+        config: PlannerConfig | None = None,
+        *,
+        device: str = "cpu",
+        seed: Seeds = 0,
+        batch: None = None,
+        threads: int | None = None,
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self: Planner[BatchPlan],
+        config: PlannerConfig | None = None,
+        *,
+        device: str = "cpu",
+        seed: Seeds = 0,
+        batch: int,
+        threads: int | None = None,
+    ) -> None: ...
 
     def __init__(
         self,
@@ -320,7 +351,7 @@ class Planner:
         empty_is_clear: bool = False,
         ground_height: ArrayLike | None = None,
         samples: bool = False,
-    ) -> Plan:
+    ) -> _Plan:
         """Plan once.
 
         Args:
@@ -338,7 +369,7 @@ class Planner:
             samples: return the Stage I rollouts as well.
 
         Returns:
-            A plan. Same seed, device, inputs and history: same plan, bit for bit.
+            A plan, with a batch a `BatchPlan`. Same seed, device, inputs and history: same plan, bit for bit.
 
         Raises:
             ValueError: an input has the wrong type or shape or is not finite; nothing was launched.
@@ -368,9 +399,10 @@ class Planner:
         stage_ms |= {"graph": 1e3 * (done - uploaded)} if self._device.is_cuda else self._pipeline.stage_ms
         stage_ms["total"] = 1e3 * (done - started)
         sampled = sampled_positions(own.work, own.sizes, values["positions"]) if samples else None
-        return make_plan(
+        plan = make_plan(
             values, self._config, own.composition.stages, batched=self._batched, stage_ms=stage_ms, samples=sampled
         )
+        return cast(_Plan, plan)
 
     def _write_points(self, points: Points, clouds: list[Any]) -> None:
         if not self._cloud.is_current(points):

@@ -36,7 +36,6 @@ def statuses(planner: Planner, cloud: Callable[[int], object], *, stamps: bool =
         time = tick * PERIOD if stamps else None
         state = VehicleState((0.1 * tick, 0, 1), (1, 0, 0), (1, 0, 0, 0), time=time)
         plan = planner.plan(state, Goal((20, 0, 1)), cloud(tick), **options)  # type: ignore[arg-type]
-        assert isinstance(plan.status, PlanStatus)
         found.append(plan.status.name)
     return found
 
@@ -94,5 +93,5 @@ def test_each_drone_of_a_batch_has_its_own_eyes(device: str):
         planner.plan(VehicleState(still, still, level, time=[time, time]), Goal(still + 9.0), [BLIND["nothing"], ROOM])
         for time in (0.0, 0.6)
     ]
-    stale = [[int(status) == PlanStatus.STALE_CLOUD for status in np.asarray(plan.status)] for plan in plans]
+    stale = [(plan.status == PlanStatus.STALE_CLOUD).tolist() for plan in plans]
     assert stale == [[False, False], [True, False]]

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from aero_planner import Goal, Planner, VehicleState
+from aero_planner import BatchPlan, Goal, Planner, VehicleState
 from tests.planner.cases import config_of
 
 NAN, INF = np.nan, np.inf
@@ -16,7 +16,7 @@ def planner(device: str) -> Planner:
 
 
 @pytest.fixture(scope="module")
-def trio(device: str) -> Planner:
+def trio(device: str) -> Planner[BatchPlan]:
     return Planner(config_of(), device=device, batch=3)
 
 
@@ -93,7 +93,7 @@ def test_bad_ground_heights(planner: Planner, ground: object):
         planner.plan(VehicleState(**STATE), Goal((5, 0, 0)), CLOUD, ground_height=ground)  # type: ignore[arg-type]
 
 
-def test_batches_have_a_leading_axis(trio: Planner):
+def test_batches_have_a_leading_axis(trio: Planner[BatchPlan]):
     state = VehicleState(np.zeros((3, 3)), np.zeros((3, 3)), np.tile([1.0, 0, 0, 0], (3, 1)))
     goal = Goal(np.ones((3, 3)))
     with pytest.raises(ValueError, match=r"^state.position has shape \(3,\); it must have shape \(3, 3\)"):

@@ -19,7 +19,7 @@ from aero_planner.onboard.interfaces import PlanResult, PointPacket, VehicleSamp
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
-from aero_planner.plan import Goal, PlanStatus, VehicleState
+from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps
 
@@ -178,7 +178,7 @@ class Replanner:
             time=float(state.time),  # type: ignore[arg-type]
             dt=self._planner.config.sampling.dt,
             controls=controls,
-            status=PlanStatus(int(plan.status)),  # type: ignore[arg-type]
+            status=plan.status,
             path=choose_path(plan, self._planner.config.sampling.dt),
         )
         self._schedule.append(scheduled, start)
