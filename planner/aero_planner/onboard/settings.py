@@ -173,7 +173,7 @@ class LimitSettings(ParameterSection, section="limits"):
     )  # fmt: skip
     velocity_std: float = live(
         0.5, "m/s", 0.05, 20.0, "Standard deviation of the velocity, as the autopilot reports it, above which the "
-        "drone brakes.", label="Maximum velocity uncertainty",
+        "drone brakes; from half of it on, the drone flies more slowly.", label="Maximum velocity uncertainty",
     )  # fmt: skip
     fix_age: float = live(
         0.7, "s", 0.2, 1e4, "Time without a fix of the autopilot's GNSS receiver after which the drone brakes, if it "
