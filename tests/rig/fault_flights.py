@@ -82,7 +82,8 @@ def _fault(kind: str, at: float, random: np.random.Generator) -> Fault:
         return Fault(kind, round(at, 2))
     if kind in ("pause-node", "take-over"):
         duration = min(duration, 5.0)
-    low, high = {"delay": (0.02, 0.5), "err-velocity": (0.3, 1.5)}.get(kind, (0.1, 0.95))
+    # Of the delays, only what the document promises: it says what a later link costs.
+    low, high = {"delay": (0.01, 0.03), "err-velocity": (0.3, 1.5)}.get(kind, (0.1, 0.95))
     amount = round(float(random.uniform(low, high)), 2) if FAULT_KINDS[kind].amount else None
     return Fault(kind, round(at, 2), duration, amount)
 
