@@ -118,6 +118,8 @@ def ending(result: RigResult) -> str:
         return "collision"
     if " -> ARRIVED" in last and result.trajectory.offboard[-1]:
         return "arrived"  # a drone whose position drifts waits where it believes the goal to be
+    if re.search(r" -> (READY|WITHDRAWING|WAITING): (?!the vehicle was disarmed)", last):
+        return "pilot"
     if result.reason == "held" and last in _documented_transitions():
         return last
     if result.reason == "held" and kinds & {*_ENDS, "pause-node"}:
