@@ -1,8 +1,8 @@
 """The failsafes as a table: when the node may command the drone, and how it reacts to each fault.
 
-This module is pure data; `failsafe_conditions` evaluates it for one tick, and `safety_machine` runs it over time. The diagram and the
-failsafe table in the documentation and the tests that explore the machine are derived from `TRANSITIONS`. No state has
-a reaction that arms the vehicle or changes its mode.
+This module is pure data; `failsafe_conditions` evaluates it for one tick, and `safety_machine` runs it over time. The
+diagram and the failsafe table in the documentation and the tests that explore the machine are derived from
+`TRANSITIONS`. No state has a reaction that arms the vehicle or changes its mode.
 """
 
 from __future__ import annotations
