@@ -205,14 +205,18 @@ def _autopilot_flew(result: RigResult) -> bool:
 
 
 def _was_too_close(flight: FaultFlight, result: RigResult) -> bool:
-    """Return True if a fault began where no drone would have come to rest before an obstacle straight ahead."""
+    """Return True if a fault began where no drone would have come to rest before an obstacle straight ahead.
+
+    A wrong velocity displaces the drone meanwhile, for the second within which it is to be noticed.
+    """
     path = result.trajectory
+    aside = sum(fault.amount or 0.0 for fault in flight.faults if fault.kind == "err-velocity") * 1.0
     for begin, _ in _begins(result):
         k = int(np.searchsorted(path.times, begin))
         speed = float(np.linalg.norm(path.velocities[k]))
         way = speed * _REACTION + speed**2 / (2.0 * ONBOARD.brake.acceleration)
         steps = np.linspace(0.0, way, 1 + math.ceil(way / 0.05))[:, None] * path.velocities[k] / max(speed, 1e-6)
-        if float(flight.world.distance(path.positions[k] + steps, 0.0).min()) < FlightRules().radius:
+        if float(flight.world.distance(path.positions[k] + steps, 0.0).min()) < FlightRules().radius + aside:
             return True
     return False
 
