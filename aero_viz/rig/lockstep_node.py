@@ -47,7 +47,7 @@ class _SlowPlanner:
 
     def __init__(self, planner: Planner, advance: Callable[[float], None], plan_time: float) -> None:
         self.config, self.device = planner.config, planner.device
-        self.reserve_sweeps, self.reset = planner.reserve_sweeps, planner.reset
+        self.reserve_sweeps, self.reset, self.configure = planner.reserve_sweeps, planner.reset, planner.configure
         self._planner, self._advance, self._plan_time = planner, advance, plan_time
 
     def plan(self, *arguments: Any, **options: Any) -> Plan:

@@ -13,7 +13,8 @@ from pathlib import Path
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.import_path import child_environment, module_command
-from aero_planner.onboard.settings import OnboardConfig, format_onboard
+from aero_planner.onboard.flight_config import format_onboard
+from aero_planner.onboard.settings import OnboardConfig
 
 _NODE_COMMAND = module_command("aero_planner", "run", "--config", "{config}")  # as on the drone
 

@@ -165,7 +165,7 @@ def _load_configs(options: argparse.Namespace) -> tuple[PlannerConfig, OnboardCo
 
 def _show(options: argparse.Namespace) -> int:
     from aero_planner.config.file import format_config
-    from aero_planner.onboard.settings import format_onboard
+    from aero_planner.onboard.flight_config import format_onboard
 
     planner, onboard = _load_configs(options)
     say(f"{format_config(planner)}\n{format_onboard(onboard)}", end="")

@@ -6,7 +6,7 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config, load_config
-from aero_planner.onboard.settings import load_flight_config
+from aero_planner.onboard.flight_config import load_flight_config
 from tests.browser.desk import COARSE, Desk, visit
 
 DEFAULT = PlannerConfig()

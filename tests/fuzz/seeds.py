@@ -15,7 +15,8 @@ import numpy as np
 import trimesh
 from PIL import Image
 
-from aero_planner.onboard.settings import OnboardConfig, format_onboard
+from aero_planner.onboard.flight_config import format_onboard
+from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.reader_process import ReaderProcess
 
 _POINTS = np.random.default_rng(0).uniform(-9.0, 9.0, (300, 3))

@@ -18,7 +18,7 @@ import numpy as np
 from fuzz import telemetry
 from fuzz.ports import PORTS
 
-from aero_planner.onboard.settings import load_any
+from aero_planner.onboard.flight_config import load_any
 from aero_planner.plan_inputs import check_inputs
 from aero_viz.catalog import open_source
 from aero_viz.errors import UserError

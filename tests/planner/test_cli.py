@@ -13,8 +13,9 @@ from mcap.reader import make_reader
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.cli import main
+from aero_planner.onboard.flight_config import load_flight_config
 from aero_planner.onboard.known_drone import config_on_drone
-from aero_planner.onboard.settings import OnboardConfig, load_flight_config
+from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.test_stderr import fill
 
 Outcome = tuple[int, str, str]

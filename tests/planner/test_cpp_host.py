@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from aero_planner import Goal, Planner, PlanStatus, VehicleState
 from aero_planner.deploy.export import makes_graphs, parse_architecture
 from aero_planner.onboard.bundle_export import export_bundle
-from aero_planner.onboard.settings import load_flight_config
+from aero_planner.onboard.flight_config import load_flight_config
 
 pytestmark = pytest.mark.skipif(not makes_graphs(), reason="this Warp makes no graphs for the C++ host")
 

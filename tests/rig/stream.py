@@ -8,8 +8,8 @@ import numpy as np
 
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.connections import open_link
+from aero_planner.onboard.flight_config import load_flight_config
 from aero_planner.onboard.livox import LivoxSource
-from aero_planner.onboard.settings import load_flight_config
 from aero_planner.quaternions import conjugate, rotate
 
 PERIOD = 0.02

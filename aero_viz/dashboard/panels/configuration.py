@@ -13,7 +13,8 @@ import viser
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import ConfigFile, format_changes, format_config
-from aero_planner.onboard.settings import OnboardConfig, format_onboard, load_flight_config
+from aero_planner.onboard.flight_config import format_onboard, load_flight_config
+from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel

@@ -2,8 +2,8 @@
 
 - The loop: `node`, `interfaces` (to LiDAR, autopilot and observers), `periodic_loop`, `replanner`, `plan_schedule`,
   `command_choice`, `braking_path`, `stop_controller`, `dead_reckoning`, `drift_correction`, `goal_tracker`.
-- Safety: `failsafe_table` (what happens on which fault), `safety_machine`, `watchdog`, `failsafe_process`,
-  `heartbeat_memory`, `readiness_log`, `safety_docs`.
+- Safety: `failsafe_table` (what happens on which fault), `failsafe_conditions` (which faults there are now),
+  `safety_machine`, `watchdog`, `failsafe_process`, `heartbeat_memory`, `readiness_log`, `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
 - Measured by the LiDAR: the ground height (`ground_tracker`, `ground_plane`), and how far the autopilot's estimate
   drifts (`drift_monitor`, `cloud_drift`).
@@ -11,5 +11,5 @@
   `datagram_filter`, `frames`, `thrust`, `thrust_estimate`, `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
 - Programs: `run`, `preflight`, `input_checks`, `px4_parameters`, `bundle_export`, `connections`, `settings`,
-  `lag_identification`.
+  `flight_config`, `lag_identification`.
 """

@@ -10,8 +10,7 @@ from typing import Any
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config, read_text
 from aero_planner.deploy.export import export
-from aero_planner.onboard.flight_config import load_checked
-from aero_planner.onboard.settings import format_onboard
+from aero_planner.onboard.flight_config import format_onboard, load_checked
 
 
 def export_bundle(

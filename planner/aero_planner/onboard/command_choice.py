@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from aero_planner.config import VehicleConfig
 from aero_planner.onboard.braking_path import BrakingPath
 from aero_planner.onboard.dead_reckoning import MotionState
+from aero_planner.onboard.failsafe_conditions import blind_time_left
 from aero_planner.onboard.failsafe_process import takeover_time
-from aero_planner.onboard.failsafe_table import AS_PLANNED, Inputs, Reaction, State, blind_time_left
+from aero_planner.onboard.failsafe_table import AS_PLANNED, Inputs, Reaction, State
 from aero_planner.onboard.plan_schedule import PlanSchedule
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopController

@@ -1,4 +1,4 @@
-"""Configurations of planner and node that were checked together; errors name the file and the line."""
+"""Files with the configurations of planner and node. Errors name the file and the line."""
 
 from __future__ import annotations
 
@@ -7,15 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config.file import ConfigFile
+from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.yaml_entries import Entry
-from aero_planner.onboard.settings import (
-    OnboardConfig,
-    check_together,
-    flight_config_from_name,
-    load_any,
-    load_onboard,
-)
+from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.parameters import ContradictionError
 
 FlightConfig = tuple[PlannerConfig, OnboardConfig]
@@ -70,3 +64,58 @@ def _files(
     if onboard_file is not None:
         file = ConfigFile.read(onboard_file)
         yield file, [*file.entries, *(file.onboard_entries() or ())]
+
+
+def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Read the configuration of the planner and, from below `onboard:`, that of the node; the rest is the default.
+
+    Raises:
+        ValueError: as `aero_planner.config.file.load_config`.
+    """
+    file = ConfigFile.read(path)
+    return file.planner_config(), file.change(OnboardConfig(), file.onboard_entries() or ())
+
+
+def flight_config_from_name(name_or_path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Return a preset with the default settings of the node or, if there is none of this name, the content of a file.
+
+    Raises:
+        ValueError: there is neither, or the file is wrong; lists the presets.
+    """
+    if str(name_or_path) not in PlannerConfig.presets() and Path(name_or_path).exists():
+        return load_flight_config(name_or_path)
+    return config_from_name(name_or_path), OnboardConfig()
+
+
+def load_onboard(path: str | os.PathLike[str]) -> OnboardConfig:
+    """Read the configuration of the node from a file without planner parameters.
+
+    The sections may stand below `onboard:` or, without this line, at the top level.
+
+    Raises:
+        ValueError: as `load_flight_config`, or the file has planner parameters.
+    """
+    file = ConfigFile.read(path)
+    sections = file.onboard_entries()
+    if sections is None:
+        return file.change(OnboardConfig(), file.entries)
+    for entry in file.entries:
+        if entry.key != ONBOARD:
+            raise ValueError(
+                f"{path}, line {entry.line}: {entry.key!r} is not one of the node's settings, which belong below "
+                f"'{ONBOARD}:'; give a file with both as --config."
+            )
+    return file.change(OnboardConfig(), sections)
+
+
+def load_any(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
+    """Read a file with planner parameters, settings of the node, or both; raises ValueError as the functions above."""
+    entries = ConfigFile.read(path).entries
+    if entries and entries[0].key in OnboardConfig.sections():
+        return PlannerConfig(), load_onboard(path)
+    return load_flight_config(path)
+
+
+def format_onboard(config: OnboardConfig) -> str:
+    """Return the `onboard:` part of a configuration file: every setting with its help, range and unit."""
+    return "\n".join([f"{ONBOARD}:", *format_sections(config, "  "), ""])

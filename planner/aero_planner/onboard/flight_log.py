@@ -20,9 +20,10 @@ from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard import ros_messages
+from aero_planner.onboard.flight_config import format_onboard
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointPacket, VehicleSample
 from aero_planner.onboard.safety_machine import StateChange
-from aero_planner.onboard.settings import OnboardConfig, format_onboard
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.quaternions import quaternion_from_angles, rotate
 
 _log = logging.getLogger(__name__)

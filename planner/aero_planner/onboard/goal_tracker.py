@@ -7,7 +7,7 @@ import logging
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.onboard.failsafe_table import is_inside_fence
+from aero_planner.onboard.failsafe_conditions import is_inside_fence
 from aero_planner.onboard.settings import LimitSettings
 
 _log = logging.getLogger(__name__)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.check_report import Check
 from aero_planner.onboard.cloud_drift import measure_drift
-from aero_planner.onboard.failsafe_table import is_inside_fence
+from aero_planner.onboard.failsafe_conditions import is_inside_fence
 from aero_planner.onboard.ground_tracker import GroundSource, GroundTracker
 from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig

@@ -23,18 +23,9 @@ from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
 from aero_planner.onboard.disturbance_estimate import DisturbanceEstimate
 from aero_planner.onboard.drift_correction import DriftCorrection
 from aero_planner.onboard.drift_monitor import DriftMonitor
+from aero_planner.onboard.failsafe_conditions import is_inside_fence, is_lost, must_wait_after_stall
 from aero_planner.onboard.failsafe_process import Failsafe, takeover_time
-from aero_planner.onboard.failsafe_table import (
-    AS_PLANNED,
-    COMMANDING,
-    MAYBE_COMMANDING,
-    Inputs,
-    Reaction,
-    State,
-    is_inside_fence,
-    is_lost,
-    must_wait_after_stall,
-)
+from aero_planner.onboard.failsafe_table import AS_PLANNED, COMMANDING, MAYBE_COMMANDING, Inputs, Reaction, State
 from aero_planner.onboard.goal_tracker import GoalTracker
 from aero_planner.onboard.ground_tracker import GroundTracker
 from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointSource, VehicleLink, VehicleSample

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.config import PlannerConfig
 from aero_planner.onboard.braking_path import choose_path
 from aero_planner.onboard.cloud_drift import Drift, measure_drift
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
@@ -35,6 +37,22 @@ _SPARE_SWEEPS = 64
 """Number of sweeps for which the planner has room in addition to its memory."""
 _STEP = 0.02
 """Time step of the prediction [s]."""
+
+
+def speed_share(velocity_std: float, limit: float) -> float:
+    """Return the share of the speed limit that may be flown, in tenths.
+
+    What an error of the velocity displaces, the cloud and the plan, grows with the time for which it lasts, and a
+    slower drone needs fewer metres to correct it. The share is 1 up to half the limit, and then falls in inverse
+    proportion, to one half.
+
+    Args:
+        velocity_std: Standard deviation of the velocity as the autopilot states it [m/s]; NaN, unknown, limits nothing.
+        limit: The largest with which the drone flies at all [m/s].
+    """
+    if not velocity_std > 0.5 * limit:
+        return 1.0
+    return max(math.floor(10.0 * 0.5 * limit / velocity_std + 1e-9) / 10.0, 0.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +114,7 @@ class Replanner:
         self._ground: tuple[int, float] | None = None  # reset counter and height of a new measurement
         self._next_ground = self._next_drift = -np.inf
         self._drift: tuple[int, Drift, float] | None = None  # reset counter, a new measurement and its interval
+        self._config, self._velocity_std, self._speed_share = planner.config, config.limits.velocity_std, 1.0
         self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -153,6 +172,7 @@ class Replanner:
         self, snapshot: ControlSnapshot, goal: NDArray[np.float64], cloud: Sweeps, cloud_age: float, start: float
     ) -> PlanResult | None:
         state = self._predict_state(snapshot, start)
+        self._limit_speed(snapshot.sample.velocity_std)
         try:
             # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
             plan = self._planner.plan(
@@ -193,6 +213,17 @@ class Replanner:
             plan=plan,
             plan_ms=1e3 * duration,
         )
+
+    def _limit_speed(self, velocity_std: float) -> None:
+        """Lower the planner's speed limit while the velocity is uncertain, by its standard deviation [m/s]."""
+        share, before = speed_share(velocity_std, self._velocity_std), self._speed_share
+        if share == before:
+            return
+        self._speed_share = share
+        limit, lowest = self._config.vehicle.speed_limit, PlannerConfig.find("vehicle.speed_limit").low or 0.0
+        self._planner.configure(self._config.replace({"vehicle.speed_limit": max(share * limit, lowest)}))
+        if before == 1.0:
+            _log.warning("the autopilot's velocity is uncertain by %.2f m/s: the speed is limited", velocity_std)
 
     def take_ground_height(self, resets: int) -> float | None:
         """Return the height of the ground in the cloud, world frame [m], if it was measured since the last call.

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from aero_planner.onboard.failsafe_conditions import cause_applies, find_faults, next_state
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
     MAYBE_COMMANDING,
@@ -15,9 +16,6 @@ from aero_planner.onboard.failsafe_table import (
     Inputs,
     Reaction,
     State,
-    cause_applies,
-    find_faults,
-    next_state,
     reaction_to,
 )
 from aero_planner.onboard.settings import LimitSettings

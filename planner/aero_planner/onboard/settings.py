@@ -1,14 +1,11 @@
-"""Settings of the node: default, unit, bounds, label and help of each, and their configuration files."""
+"""Settings of the node: default, unit, bounds, label and help of each."""
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER
 from aero_planner.parameters import (
     ContradictionError,
@@ -173,7 +170,7 @@ class LimitSettings(ParameterSection, section="limits"):
     )  # fmt: skip
     velocity_std: float = live(
         0.5, "m/s", 0.05, 20.0, "Standard deviation of the velocity, as the autopilot reports it, above which the "
-        "drone brakes.", label="Maximum velocity uncertainty",
+        "drone brakes; from half of it on, the drone flies more slowly.", label="Maximum velocity uncertainty",
     )  # fmt: skip
     fix_age: float = live(
         0.7, "s", 0.2, 1e4, "Time without a fix of the autopilot's GNSS receiver after which the drone brakes, if it "
@@ -348,58 +345,3 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"{vehicle.mass * vehicle.gravity:.2f} N, vehicle.mass x vehicle.gravity, or the drone can't fly.",
             "vehicle.thrust_max", "vehicle.mass", "vehicle.gravity",
         )  # fmt: skip
-
-
-def load_flight_config(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
-    """Read the configuration of the planner and, from below `onboard:`, that of the node; the rest is the default.
-
-    Raises:
-        ValueError: as `aero_planner.config.file.load_config`.
-    """
-    file = ConfigFile.read(path)
-    return file.planner_config(), file.change(OnboardConfig(), file.onboard_entries() or ())
-
-
-def flight_config_from_name(name_or_path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
-    """Return a preset with the default settings of the node or, if there is none of this name, the content of a file.
-
-    Raises:
-        ValueError: there is neither, or the file is wrong; lists the presets.
-    """
-    if str(name_or_path) not in PlannerConfig.presets() and Path(name_or_path).exists():
-        return load_flight_config(name_or_path)
-    return config_from_name(name_or_path), OnboardConfig()
-
-
-def load_onboard(path: str | os.PathLike[str]) -> OnboardConfig:
-    """Read the configuration of the node from a file without planner parameters.
-
-    The sections may stand below `onboard:` or, without this line, at the top level.
-
-    Raises:
-        ValueError: as `load_flight_config`, or the file has planner parameters.
-    """
-    file = ConfigFile.read(path)
-    sections = file.onboard_entries()
-    if sections is None:
-        return file.change(OnboardConfig(), file.entries)
-    for entry in file.entries:
-        if entry.key != ONBOARD:
-            raise ValueError(
-                f"{path}, line {entry.line}: {entry.key!r} is not one of the node's settings, which belong below "
-                f"'{ONBOARD}:'; give a file with both as --config."
-            )
-    return file.change(OnboardConfig(), sections)
-
-
-def load_any(path: str | os.PathLike[str]) -> tuple[PlannerConfig, OnboardConfig]:
-    """Read a file with planner parameters, settings of the node, or both; raises ValueError as the functions above."""
-    entries = ConfigFile.read(path).entries
-    if entries and entries[0].key in OnboardConfig.sections():
-        return PlannerConfig(), load_onboard(path)
-    return load_flight_config(path)
-
-
-def format_onboard(config: OnboardConfig) -> str:
-    """Return the `onboard:` part of a configuration file: every setting with its help, range and unit."""
-    return "\n".join([f"{ONBOARD}:", *format_sections(config, "  "), ""])

@@ -4,6 +4,7 @@ import dataclasses
 import math
 
 from aero_planner import PlanStatus
+from aero_planner.onboard.failsafe_conditions import cause_applies, find_faults
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
     MAYBE_COMMANDING,
@@ -11,8 +12,6 @@ from aero_planner.onboard.failsafe_table import (
     Inputs,
     Reaction,
     State,
-    cause_applies,
-    find_faults,
     reaction_to,
 )
 from aero_planner.onboard.settings import LimitSettings

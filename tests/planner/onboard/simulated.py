@@ -154,7 +154,7 @@ class SlowPlanner:
     def __init__(self, planner: Planner, simulation: Simulation) -> None:
         self.simulation, self._planner = simulation, planner
         self.config = planner.config
-        self.reserve_sweeps, self.reset = planner.reserve_sweeps, planner.reset
+        self.reserve_sweeps, self.reset, self.configure = planner.reserve_sweeps, planner.reset, planner.configure
         self.spoil: Callable[[Plan], Plan] = lambda plan: plan
         self.ageing = 0.0
         """Time added to the age of the cloud [s]."""

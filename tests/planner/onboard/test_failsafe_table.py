@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from aero_planner import PlanStatus
+from aero_planner.onboard.failsafe_conditions import cause_applies, find_faults, is_inside_fence, next_state
 from aero_planner.onboard.failsafe_table import (
     DETECTION,
     FAULTS,
@@ -20,10 +21,6 @@ from aero_planner.onboard.failsafe_table import (
     Inputs,
     Reaction,
     State,
-    cause_applies,
-    find_faults,
-    is_inside_fence,
-    next_state,
 )
 from aero_planner.onboard.safety_docs import format_diagram, format_failsafes, format_states
 from tests.planner.onboard.safety_inputs import LIMITS, WELL, check_one_step

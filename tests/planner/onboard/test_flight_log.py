@@ -12,9 +12,10 @@ from mcap_ros2.decoder import DecoderFactory
 
 from aero_planner import Planner, PlannerConfig, VehicleState
 from aero_planner.config.file import load_config
+from aero_planner.onboard.flight_config import load_onboard
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import VehicleSample
-from aero_planner.onboard.settings import OnboardConfig, load_onboard
+from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.conftest import Records
 from tests.planner.onboard.simulated import PLACES, SMALL, Relay, Simulation, poles
 

@@ -1,14 +1,17 @@
+import math
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from aero_planner import Planner, VehicleState
 from aero_planner.onboard.dead_reckoning import MotionState
+from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.interfaces import PointPacket, VehicleSample
 from aero_planner.onboard.plan_schedule import PlanSchedule
-from aero_planner.onboard.replanner import ControlSnapshot, Replanner
+from aero_planner.onboard.replanner import ControlSnapshot, Replanner, speed_share
 from aero_planner.onboard.settings import OnboardConfig
-from tests.planner.onboard.simulated import Clock
+from tests.planner.onboard.simulated import Clock, Simulation
 
 HOVER = np.array([0.0, 0.0, 2.0])
 LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
@@ -47,3 +50,21 @@ def test_a_measured_drift_is_taken_once(hovering: Replanner):
 
 def test_a_drift_from_before_a_reset_of_the_estimator_is_not_returned(hovering: Replanner):
     assert hovering.take_drift(1) is None
+
+
+@pytest.mark.parametrize(
+    ("std", "share"), [(math.nan, 1.0), (0.0, 1.0), (0.05, 1.0), (0.25, 1.0), (0.3, 0.8), (0.5, 0.5), (9.0, 0.5)]
+)
+def test_the_speed_falls_with_the_uncertainty_of_the_velocity(std: float, share: float):
+    assert speed_share(std, 0.5) == pytest.approx(share)
+
+
+def test_a_drone_whose_velocity_is_uncertain_flies_more_slowly(flight: Simulation, small_planner: Planner):
+    limit = flight.planner.config.vehicle.speed_limit
+    assert flight.run_until(lambda: flight.motion.speed > 0.8 * limit, 4.0)
+    flight.link.velocity_std = 0.45
+    flight.run(1.0)
+    assert flight.motion.speed < 0.7 * limit and flight.node.state is State.FLYING
+    flight.link.velocity_std = 0.05
+    flight.run(0.2)
+    assert small_planner.config.vehicle.speed_limit == limit
