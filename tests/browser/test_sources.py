@@ -118,7 +118,7 @@ def recording(browser, shared_datasets):
 
 
 def test_a_recording_is_marked_as_open_loop(recording):
-    recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for()
+    recording.page.get_by_text("Open loop: motion and clouds are recorded; the plan is computed now").wait_for()
     recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for()
 
 

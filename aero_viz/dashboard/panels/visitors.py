@@ -19,6 +19,9 @@ class VisitorPanel(Panel):
     """A line above all controls, separate for each visitor. It is empty for a single visitor who holds control."""
 
     def create(self, gui: viser.GuiApi) -> None:
+        self._clients: dict[int, viser.ClientHandle] = {}
+        self._holder: int | None = None
+        """Visitor who held control last."""
         self._rows: dict[int, tuple[viser.GuiHtmlHandle, viser.GuiButtonHandle]] = {}
         self._visitors = self.page.server.visitors
         self._visitors.on_change = self._show
@@ -29,7 +32,7 @@ class VisitorPanel(Panel):
         button = client.gui.add_button(
             "Take control", icon=viser.Icon.STEERING_WHEEL, order=-1.0, hint=_HINT, visible=False
         )
-        self._rows[number] = (text, button)
+        self._rows[number], self._clients[number] = (text, button), client
 
         @button.on_click
         async def _(_: viser.GuiEvent) -> None:
@@ -40,9 +43,14 @@ class VisitorPanel(Panel):
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         for number in set(self._rows) - set(clients):
             self._rows.pop(number, None)
+            self._clients.pop(number, None)
 
     def _show(self) -> None:
         visitors = self._visitors
+        before, self._holder = self._holder, next(filter(visitors.has_control, list(self._rows)), None)
+        if before != self._holder and before in self._clients and visitors.is_present(before):
+            text = 'Another visitor has taken control of the session. Press "Take control" to get it back.'
+            self._clients[before].add_notification("You are watching now", text, color="yellow")
         for number, (text, button) in list(self._rows.items()):
             controls, may_control = visitors.has_control(number), visitors.may_control(number)
             role = "You control the session." if controls else "You are watching; your camera and layers are your own."
