@@ -30,3 +30,19 @@ def test_whoever_loses_control_is_told(fresh_desk, browser):
         other.get_by_role("button", name="Take control").click()
         desk.page.get_by_text("Another visitor has taken control of the session.").wait_for()
         assert other.get_by_text("Another visitor has taken control of the session.").count() == 0
+
+
+def test_shared_controls_look_disabled_to_whoever_watches_and_own_ones_do_not(fresh_desk, browser):
+    desk = fresh_desk
+    opacity = "element => getComputedStyle(element).opacity"
+    with visit(browser, desk.dashboard.url, resolution=COARSE) as other:
+        play = other.get_by_role("button", name="Play", exact=True)
+        desk.wait_for(lambda: play.evaluate(opacity) == "0.4", "shared controls to look disabled")
+        assert desk.page.get_by_role("button", name="Play", exact=True).evaluate(opacity) == "1"
+        for name in ("Take control", "top"):
+            assert other.get_by_role("button", name=name, exact=True).evaluate(opacity) == "1"
+        other.get_by_role("tab", name="Layers").click()
+        switch = other.get_by_role("checkbox").first
+        desk.wait_for(lambda: switch.evaluate(opacity) == "1", "the layers to look like the visitor's own")
+        other.get_by_role("button", name="Take control").click()
+        desk.wait_for(lambda: play.evaluate(opacity) == "1", "the controls of whoever holds control")
