@@ -18,7 +18,6 @@ from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import (
     LAYERS,
-    LIVE_PLAN,
     Change,
     ColorKey,
     ColorScale,
@@ -112,7 +111,6 @@ class Dashboard:
         """Returns position and look-at point of every camera [m]; None leaves the cameras to the visitors."""
         self._session = session
         self._limiter = UpdateRateLimiter()
-        self._is_replay = False
         self._panels_due = 0.0
         self._panels_outdated = False
         self._sink: Mailbox[Any] | None = None
@@ -193,7 +191,6 @@ class Dashboard:
             self.source = frame.source
             for part in (*self.layers.values(), *self.panels):
                 changes += part.on_new_source(frame.source)
-            self._choose_plan(frame.source)
         if self.director is not None:
             changes += self._directed(frame)
         else:
@@ -218,15 +215,6 @@ class Dashboard:
         self._camera.eyes = [eye]
         cameras = [client.camera for client in self.server.get_clients().values()]
         return [change for camera in cameras for change in ((camera, "position", eye), (camera, "look_at", target))]
-
-    def _choose_plan(self, source: SourceInfo) -> None:
-        """Hide the live plan where a recorded one is shown; it can be switched on again."""
-        is_replay = source.recorded_plan is not None
-        if is_replay != self._is_replay:
-            self._is_replay = is_replay
-            for name in LIVE_PLAN:
-                if name in self.layers:
-                    self.layers[name].visible = not is_replay and self.layers[name].on_by_default
 
     def close(self) -> None:
         """Close the page. The session continues."""
@@ -257,7 +245,7 @@ class Dashboard:
         Without clients only the camera follows: a client that connects requests a refresh.
         """
         frame, present = self._session.frame, self.server.get_clients()
-        for part in (*self.layers.values(), *self.panels):
+        for part in (*self.panels, *self.layers.values()):
             part.forget_all_but(present)
         if frame is None:
             apply(change for panel in self.panels for change in panel.update_without_frame())

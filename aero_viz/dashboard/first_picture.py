@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from aero_viz.dashboard.layers import LIVE_PLAN, Change, Layer, apply
+from aero_viz.dashboard.layers import Change, Layer, apply
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.panels.camera import Viewpoints
@@ -51,8 +51,7 @@ def show_first_picture(session: BaseSession, server: LocalServer, *, is_over: Ca
     ]
     for layer in layers:
         layer.eyes = [eye]
-        if frame.source.recorded_plan is None or layer.name not in LIVE_PLAN:
-            changes += layer.update(frame)
+        changes += layer.update(frame)
     with server.atomic():
         apply(changes)
     server.flush()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from aero_planner import Plan, PlannerConfig, PlanStatus
 from aero_viz.logs.flight_figures import CLEARANCE_MAX
 from aero_viz.session.comparison import ComparisonEvent
+from aero_viz.session.config_history import DRAG_INTERVAL
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
@@ -132,11 +134,17 @@ class FlightHistory:
             )  # fmt: skip
 
     def _add_events(self, last: Frame | None, frame: Frame) -> None:
-        """Add what has happened since the last frame. Of the parameters, a tick has its net change only."""
+        """Add what has happened since the last frame. A tick and a drag have the net change of parameters."""
         events = _events(last, frame)
         if last is not None and last.config is not frame.config:
-            before = self._configs_before.setdefault(frame.time, last.config)
-            self._events = [e for e in self._events if e.kind != "parameters" or e.time != frame.time]
+            now, paths = time.monotonic(), frozenset(last.config.differences(frame.config))
+            dragged, dragged_at, event_time = self._drag
+            is_same_drag = paths == dragged and now - dragged_at < DRAG_INTERVAL
+            self._drag = paths, now, frame.time
+            replaced = {frame.time, event_time} if is_same_drag else {frame.time}
+            before = self._configs_before.get(event_time, last.config) if is_same_drag else last.config
+            before = self._configs_before.setdefault(frame.time, before)
+            self._events = [e for e in self._events if e.kind != "parameters" or e.time not in replaced]
             if text := change_text(before, frame.config):
                 events.insert(0, Event(frame.time, "parameters", text))
         self._events += events
@@ -144,6 +152,8 @@ class FlightHistory:
     def _clear(self) -> None:
         self._configs_before: dict[float, PlannerConfig] = {}
         """Configuration before the changes at a tick, by its time [s]."""
+        self._drag: tuple[frozenset[str], float, float] = frozenset(), -np.inf, 0.0
+        """Paths of the parameters that have changed last, when that was [s], and the source time of its event [s]."""
         self._rows = np.empty((1024, len(COLUMNS)))
         self._count = 0
         self._events: list[Event] = []

@@ -49,6 +49,9 @@ _STYLE = "".join(
         f"{{background:{palette.css(palette.PANEL[6])}!important}}",
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
+        # Why a number field shows its number again.
+        ".aero-not-taken{position:fixed;z-index:400;padding:4px 10px;border-radius:6px;font-size:12px;"
+        f"color:white;background:{palette.css(palette.PANEL[4])}}}",
         # Everything below the playback controls scrolls separately, so that these stay in view.
         ".mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:calc(100vh - 19rem - var(--aero-visitors,0rem));overflow-y:auto!important;overflow-x:hidden}",
@@ -80,6 +83,10 @@ _STYLE = "".join(
         f"background:{palette.css(palette.WARNING, 0.10)}}}",
         ".aero-copy{float:right;font-size:11px;padding:0 8px;border:1px solid;border-radius:4px;background:none;"
         "color:inherit;cursor:pointer}",
+        # Shared controls look disabled to whoever only watches; the buttons of the camera are each visitor's own.
+        ".mantine-ScrollArea-content:has(.aero-watching) :is(.mantine-Button-root,.mantine-Slider-root,input)"
+        "{opacity:.4;cursor:not-allowed}",
+        "div:has(>[class^=aero-camera-])+div .mantine-Button-root{opacity:1!important;cursor:pointer!important}",
         # The active one of a group of buttons; an element before the group tells its number.
         *(
             f"div:has(>.aero-camera-{i})+div .mantine-Button-root:nth-child({i})"

@@ -48,7 +48,10 @@ class FlightReplay(RecordingSource):
         """Times of changes of the world [s], and the world from then on."""
         self._ending = ""
         settings: dict[str, Any] = {}
-        notices = ["Recorded flight: goal and plans are those of the log."]
+        notices = [
+            "Recorded flight: motion, clouds, goal and the recorded plan are those of the log; anchors, guides and "
+            "rollouts are planned now on these clouds, and are not flown."
+        ]
         try:
             contents = read_log(path, read)
             self._use(contents)

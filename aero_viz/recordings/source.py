@@ -62,6 +62,9 @@ class _Checkpoint:
     goal_ahead: float
 
 
+_OPEN_LOOP = "Open loop: motion and clouds are recorded; the plan is computed now, and is not flown."
+
+
 class RecordingSource:
     """Plays a recording through the planner in open loop: the plan is shown, and the recorded motion continues.
 
@@ -104,7 +107,7 @@ class RecordingSource:
             start=self._pose(float(self._ticks[0])).position,
             times=self._ticks,
             recorded_path=None if poses is None else poses.positions,
-            notices=("Open loop: the plan is displayed but not flown.", *recording.problems),
+            notices=(_OPEN_LOOP, *recording.problems),
         )
         self._index = 0
         self._goal: NDArray[np.float64] | None = None

@@ -12,7 +12,7 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_viz.session.world_history import NEVER
 
-_DRAG_INTERVAL = 1.0
+DRAG_INTERVAL = 2.0
 """Changes of the same parameters within this time are one step of undo, as when a slider is dragged [s]."""
 _MOST = 500
 """Largest number of configurations that are kept; the oldest one is dropped first."""
@@ -68,7 +68,7 @@ class ConfigHistory:
             if config == current:
                 return current
             paths = frozenset() if isinstance(change, PlannerConfig) else frozenset(change)
-            is_same_drag = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < _DRAG_INTERVAL
+            is_same_drag = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < DRAG_INTERVAL
             self._last = (paths, time.monotonic())
             del self._entries[self._index + 1 :]
             if is_same_drag:

@@ -119,7 +119,7 @@ class SourceInfo:
     recorded_plan: Callable[[float], RecordedPlan | None] | None = None
     """Returns the plan that was flown at a time [s]; None if no plans are recorded."""
     notices: tuple[str, ...] = ()
-    """Sentences for the user, such as "Open loop: the plan is displayed but not flown"."""
+    """Sentences for the user, such as "the plan is computed now, and is not flown"."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Conditions that reproduce a flight, besides its world, goals and configurations; values that JSON can hold."""
 

@@ -54,11 +54,11 @@ def test_a_slider_acts_while_it_flies_and_going_back_restores_what_was_there(des
 
 def test_wind_needs_no_other_setting_and_a_refused_number_returns(desk):
     gusts = field(desk, "drone.gust_speed")
-    gusts.fill("4")
+    desk.enter(gusts, "4")
     desk.wait_for(lambda: conditions(desk)["drone.gust_speed"] == 4.0, "gusts")
     assert conditions(desk)["drone.drag"] > 0.0
     desk.page.wait_for_timeout(1200)
-    gusts.fill("-2")
+    desk.enter(gusts, "-2")
     refusal = desk.refusal("drone.gust_speed")
     refusal.wait_for()
     desk.dismiss(refusal)
@@ -70,12 +70,12 @@ def test_lost_sweeps_and_latency_belong_to_their_tick(desk):
     before = conditions(desk)
     desk.session.seek(0.1).result()
     for path, value in (("lidar.sweep_loss", 1.0), ("drone.latency", 0.1)):
-        field(desk, path).fill(str(value))
+        desk.enter(field(desk, path), value)
         desk.wait_for(lambda path=path, value=value: conditions(desk)[path] == value, f"{path} {value}")
         desk.page.wait_for_timeout(1200)
     desk.session.step(60).result()
     desk.page.get_by_text("no cloud").wait_for()
-    field(desk, "drone.latency").fill("3")
+    desk.enter(field(desk, "drone.latency"), "3")
     refusal = desk.refusal("at most 0.5 s")
     refusal.wait_for()
     desk.dismiss(refusal)

@@ -157,7 +157,7 @@ def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
     throw(desk)
     place = present(desk, "sphere").center
     desk.control("Centre [m]").locator("input").nth(2).fill("3.5")
-    desk.control("Size [m]").locator("input").nth(0).fill("0.8")
+    desk.enter(desk.control("Size [m]").locator("input").nth(0), "0.8")
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.8] * 3), "a smaller sphere")
     desk.wait_for(lambda: present(desk, "sphere").center == pytest.approx([*place[:2], 3.5], abs=1e-3), "a higher one")
 
@@ -165,7 +165,7 @@ def test_numbers_typed_in_two_fields_in_a_row_both_count(desk):
 def test_ctrl_z_and_the_button_take_back_what_was_done_to_an_obstacle(desk):
     throw(desk)
     place = present(desk, "sphere").center
-    desk.control("Centre [m]").locator("input").nth(2).fill("3.5")
+    desk.enter(desk.control("Centre [m]").locator("input").nth(2), "3.5")
     desk.wait_for(lambda: present(desk, "sphere").center[2] == pytest.approx(3.5), "a higher sphere")
     desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))  # out of the field
     desk.click("Remove")

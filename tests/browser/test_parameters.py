@@ -162,6 +162,10 @@ def test_a_preset_is_saved_with_its_goal_and_there_again_tomorrow(tune_alone, br
         tomorrow.open_tab("Tune")
         tomorrow.choose("Preset", "narrow gap")
         tomorrow.wait_for(lambda: session.config == tomorrow.known(saved), "its parameters")
+        before = tuple(session.frame.observation.goal.position)
+        tomorrow.page.get_by_text("was saved with the goal at").wait_for()
+        assert tuple(session.frame.observation.goal.position) == before != tuple(goal), "not without an answer"
+        tomorrow.click("Move the goal")
         tomorrow.wait_for(lambda: tuple(session.frame.observation.goal.position) == tuple(goal), "its goal")
         (PresetStore().folder / "narrow gap.yaml").write_text("costs:\n  q_trak: 1\n")
         tomorrow.choose("Preset", "paper")

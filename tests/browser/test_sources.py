@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner import PlannerConfig
+from aero_viz.catalog import shipped_recordings
 from aero_viz.flight import fly
 from aero_viz.scenes import SCENES, World, scene
 from tests.browser.desk import Desk, open_desk
@@ -118,8 +119,36 @@ def recording(browser, shared_datasets):
 
 
 def test_a_recording_is_marked_as_open_loop(recording):
-    recording.page.get_by_text("Open loop: the plan is displayed but not flown").wait_for()
+    recording.page.get_by_text("Open loop: motion and clouds are recorded; the plan is computed now").wait_for()
     recording.page.get_by_text("hilti_os0_A_mcap").first.wait_for()
+
+
+def test_a_flight_log_opens_with_the_plan_that_was_flown_and_the_one_of_now(restored_desk):
+    desk = restored_desk
+    desk.dashboard.show_only(None)
+    path, _ = shipped_recordings()["room_mid360"]
+    desk.control("Path").locator("input").fill(str(path))
+    desk.click("Open path")
+    desk.wait_for(lambda: desk.session.frame.recorded_plan is not None, "the log")
+    desk.page.get_by_text(
+        "the recorded plan are those of the log; anchors, guides and rollouts are planned now"
+    ).wait_for()
+    layers = desk.dashboard.layers
+    assert all(layers[name].visible for name in ("rollouts", "guides", "anchors", "recorded_plan"))
+
+
+def test_restart_after_the_end_flies_again(restored_desk, tmp_path):
+    desk, session = restored_desk, restored_desk.session
+    World("near", np.array([0.0, 0.0, 2.0]), np.array([1.5, 0.0, 2.0])).save(tmp_path / "near.json")
+    desk.control("Path").locator("input").fill(str(tmp_path / "near.json"))
+    desk.click("Open path")
+    desk.wait_for(lambda: session.frame.source.name == "near", "the world")
+    desk.click("Play")
+    desk.wait_for(lambda: session.frame.outcome == "arrived" and not session.playing, "the end")
+    end = session.frame
+    desk.click("Restart")
+    desk.wait_for(lambda: session.frame.epoch != end.epoch and session.frame.index > 3, "the flight again")
+    desk.wait_for(lambda: session.frame.outcome == "arrived", "its end")
 
 
 def test_the_cloud_of_a_recording_is_drawn(recording):

@@ -31,7 +31,6 @@ from aero_viz.errors import UserError
 
 __all__ = [
     "LAYERS",
-    "LIVE_PLAN",
     "Bar",
     "BarChart",
     "Change",
@@ -66,8 +65,6 @@ LAYERS: tuple[type[Layer], ...] = (
     ObstacleLayer,
     GroundLayer,
 )
-LIVE_PLAN = ("rollouts", "guides", "anchors")
-"""Names of the layers of the live plan, which are hidden at first where a recorded one is shown."""
 _RENAMED = {"hidden_space": "occluded_space"}
 """Current name of each renamed layer, whose old name is accepted for one release."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 import viser
@@ -101,6 +102,18 @@ def _width(frame: Frame) -> float:
     return float(np.clip(1.15 * half / np.tan(0.5 * FIELD_OF_VIEW), 5.0, _OFFSETS["top"][2]))
 
 
+@dataclass(frozen=True, eq=False)
+class CameraPlace:
+    """Mode and place of a camera; points and directions have the shape [3], world frame."""
+
+    mode: str
+    up_direction: Point
+    position: Point
+    look_at: Point
+    target: Point | None
+    """Point that it was last moved to look at [m]."""
+
+
 class CameraPanel(Panel):
     """Buttons for the camera mode, separate for each visitor.
 
@@ -144,17 +157,28 @@ class CameraPanel(Panel):
 
     def copy(self, original: viser.ClientHandle, client: viser.ClientHandle) -> None:
         """Give the camera of one visitor the mode and the place of another's."""
-        number, seen = client.client_id, original.camera
-        self._modes[number] = mode = self._mode(original.client_id)
+        self.place(client, self.place_of(original))
+
+    def place_of(self, client: viser.ClientHandle) -> CameraPlace:
+        """Return the mode and the place of the camera of a visitor."""
+        number, seen = client.client_id, client.camera
+        return CameraPlace(
+            self._mode(number), seen.up_direction, seen.position, seen.look_at, self._targets.get(number)
+        )  # fmt: skip
+
+    def place(self, client: viser.ClientHandle, place: CameraPlace) -> None:
+        """Give the camera of a visitor a mode and a place."""
+        number = client.client_id
+        self._modes[number] = place.mode
         self._settled[number] = -np.inf
-        if (target := self._targets.get(original.client_id)) is not None:
-            self._targets[number] = target
+        if place.target is not None:
+            self._targets[number] = place.target
         if (mark := self._marks.get(number)) is not None:
-            mark.content = _mark(mode)
+            mark.content = _mark(place.mode)
         with client.atomic():
-            client.camera.up_direction = seen.up_direction
-            client.camera.position = seen.position
-            client.camera.look_at = seen.look_at
+            client.camera.up_direction = place.up_direction
+            client.camera.position = place.position
+            client.camera.look_at = place.look_at
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._settled.clear()

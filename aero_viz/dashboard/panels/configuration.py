@@ -88,9 +88,9 @@ class ConfigurationPanel(Panel):
 
         @self._preset.on_update
         async def _(event: viser.GuiEvent) -> None:
-            if event.client is not None and self._preset.value != _CHANGED:
+            if (client := event.client) is not None and self._preset.value != _CHANGED:
                 name = self._preset.value
-                self.page.attempt(lambda: self._choose(name), event.client)
+                self.page.attempt(lambda: self._choose(name, client), client)
 
         @steps.on_click
         async def _(event: viser.GuiEvent) -> None:
@@ -154,8 +154,8 @@ class ConfigurationPanel(Panel):
     def _names(self) -> tuple[str, ...]:
         return (*PlannerConfig.presets(), *self._saved, _CHANGED)
 
-    def _choose(self, name: str) -> None:
-        """Use a preset, and its goal if it has one."""
+    def _choose(self, name: str, client: viser.ClientHandle) -> None:
+        """Use a preset, and ask whether to move the goal if it was saved with another one."""
         goal = None
         if name in PlannerConfig.presets():
             config = PlannerConfig.preset(name)
@@ -164,8 +164,20 @@ class ConfigurationPanel(Panel):
             config, goal = saved.config, saved.goal
         self._baseline.name, self._baseline.config = name, config
         self._controls.configure(self.page.config_for_flight(self._baseline.config))
-        if goal is not None:
-            self._controls.set_goal(goal)  # if it cannot be flown to here, the session says so
+        frame = self.session.frame
+        if goal is not None and frame is not None and not np.allclose(goal, frame.observation.goal.position, atol=1e-3):
+            self._ask_to_move(name, goal, client)
+
+    def _ask_to_move(self, name: str, goal: tuple[float, float, float], client: viser.ClientHandle) -> None:
+        place = ", ".join(f"{x:.1f}" for x in goal)
+        self.page.ask(
+            client,
+            "Move the goal, too?",
+            markup.block(markup.text(f"The preset {name} was saved with the goal at ({place}) m.")),
+            yes="Move the goal",
+            no="Keep the goal",
+            action=lambda: self._controls.set_goal(goal),  # if it cannot be flown to here, the session says so
+        )
 
     def _save_or_ask(self, name: str, client: viser.ClientHandle) -> None:
         """Save a preset, after a question if it replaces another one."""

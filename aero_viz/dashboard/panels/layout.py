@@ -16,6 +16,7 @@ from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
 from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
+from aero_viz.dashboard.panels.health import HealthPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
@@ -23,6 +24,7 @@ from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
+from aero_viz.dashboard.panels.returning import ReturningVisitors
 from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
@@ -100,7 +102,11 @@ def build(
     if controls is not None:
         with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
             baseline = Baseline.from_config(page.session.config)
-            panels += [ComparePanel(page, controls), ConfigurationPanel(page, controls, baseline)]
+            panels += [
+                HealthPanel(page, controls),
+                ComparePanel(page, controls),
+                ConfigurationPanel(page, controls, baseline),
+            ]
             panels.append(ParameterPanel(page, controls, baseline))
         if study is not None:
             with tabs.add_tab("Study", viser.Icon.CHART_DOTS):
@@ -114,4 +120,12 @@ def build(
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
-    return camera, [*panels, camera, appearance, TitlePanel(page), ShortcutPanel(page, actions)]
+    # Before the others, which forget what a visitor who leaves has chosen.
+    return camera, [
+        ReturningVisitors(page, camera),
+        *panels,
+        camera,
+        appearance,
+        TitlePanel(page),
+        ShortcutPanel(page, actions),
+    ]

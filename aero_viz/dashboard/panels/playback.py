@@ -54,12 +54,19 @@ class PlaybackPanel(Panel):
 
     def _add_restart(self, gui: viser.GuiApi) -> None:
         restart = gui.add_button(
-            "Restart", icon=viser.Icon.PLAYER_SKIP_BACK, color="gray", hint="Go back to the beginning."
+            "Restart",
+            icon=viser.Icon.PLAYER_SKIP_BACK,
+            color="gray",
+            hint="Go back to the beginning. A flight that has ended is flown again.",
         )
 
         @restart.on_click
         async def _(_: viser.GuiEvent) -> None:
-            self._seek(self.session.time_range[0])
+            frame = self.session.frame
+            if frame is not None and frame.outcome is not None:
+                self.session.play()  # from the beginning
+            else:
+                self._seek(self.session.time_range[0])
 
     def _add_speed(self, gui: viser.GuiApi, controls: SessionControls) -> None:
         hint = "Source time per wall-clock time."

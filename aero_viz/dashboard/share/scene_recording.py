@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard.history import FlightHistory
-from aero_viz.dashboard.layers import LAYERS, LIVE_PLAN, Change, Layer, apply, known_names
+from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply, known_names
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
 from aero_viz.dashboard.scripts import run_script
@@ -97,10 +97,8 @@ class SceneRecording:
         eye, target = self._views.find("follow", frame)
         camera = self._server.initial_camera
         camera.fov, camera.position, camera.look_at = FIELD_OF_VIEW, eye, target
-        hidden = () if frame.source.recorded_plan is None else LIVE_PLAN
         for name, layer in self._layers.items():
-            by_default = layer.on_by_default and name not in hidden
-            layer.visible = by_default if self._chosen is None else name in self._chosen
+            layer.visible = layer.on_by_default if self._chosen is None else name in self._chosen
             apply(layer.on_new_source(frame.source))
 
     def _changes(self, frame: Frame) -> list[Change]:

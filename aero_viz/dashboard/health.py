@@ -1,0 +1,172 @@
+"""Health of the planner over the last seconds: what its arrays say about its settings, and what to try."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner import PlannerConfig
+from aero_viz.dashboard.history import effective_samples
+from aero_viz.session.frame import Frame
+from aero_viz.session.safety import known_safe
+
+Array = NDArray[np.float64]
+_MODEL = "ctbr"
+"""Vehicle model whose controls have bounds of their own."""
+_AT_BOUND = 1e-3
+"""Distance to a bound from which a control is at it [N, rad/s]."""
+
+
+@dataclass(frozen=True)
+class Advice:
+    """A change of one parameter that is worth trying."""
+
+    path: str
+    value: float
+
+    def text(self, config: PlannerConfig) -> str:
+        """Return the change in words."""
+        return f"Try {PlannerConfig.find(self.path).title}: {config.get(self.path):g} → {self.value:g}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One figure of the health."""
+
+    label: str
+    value: str
+    healthy: str
+    """Range of health."""
+    meaning: str
+    """What a value outside it means."""
+    is_healthy: bool
+    advice: Advice | None
+    """What to try while it is not healthy."""
+
+
+def readings(frames: Sequence[Frame]) -> list[Reading]:
+    """Return the health over some frames of one flight, the newest one last."""
+    config, names = frames[-1].config, (_effective, _controls, _samples, _spread, _safe, _tracking, _time)
+    found = [reading(frames, config) for reading in names]
+    return [reading for reading in found if reading is not None]
+
+
+def _mean(frames: Sequence[Frame], value: Callable[[Frame], float]) -> float:
+    return float(np.mean([value(frame) for frame in frames]))
+
+
+def _effective(frames: Sequence[Frame], config: PlannerConfig) -> Reading:
+    count, temperature = config.sampling.samples, config.sampling.temperature
+    size = _mean(frames, lambda frame: effective_samples(frame.plan, int(frame.plan.best), temperature))
+    low, high = 0.04 * count, 0.5 * count
+    meaning = (
+        "The update takes the best sample alone, and its noise: raise the temperature."
+        if size < low
+        else "The update averages good and bad samples alike: lower the temperature."
+    )
+    advice = Advice("sampling.temperature", _temperature_for(frames[-1], 0.12 * count))
+    value, healthy = f"{size:.1f} of {count}", f"{low:.0f} to {high:.0f}"
+    return _reading("effective samples", value, healthy, meaning, low <= size <= high, advice)
+
+
+def _temperature_for(frame: Frame, size: float) -> float:
+    """Return the temperature at which the chosen instance would have had an effective sample size."""
+    info, best = PlannerConfig.find("sampling.temperature"), int(frame.plan.best)
+    low, high = math.log(info.low), math.log(info.high)
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        is_less = effective_samples(frame.plan, best, math.exp(middle)) < size
+        low, high = (middle, high) if is_less else (low, middle)
+    return float(f"{math.exp(high):.2g}")
+
+
+def _bounds(config: PlannerConfig) -> tuple[Array, Array]:
+    v = config.vehicle
+    high = np.array([v.thrust_max, v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
+    return np.array([v.thrust_min, *-high[1:]]), high
+
+
+def _controls(frames: Sequence[Frame], config: PlannerConfig) -> Reading | None:
+    if config.vehicle.model != _MODEL:
+        return None
+    low, high = _bounds(config)
+
+    def share(frame: Frame) -> float:
+        controls = frame.plan.controls
+        return float(((controls <= low + _AT_BOUND) | (controls >= high - _AT_BOUND)).mean())
+
+    value = _mean(frames, share)
+    meaning = "The candidates ask for more than the drone can do: make control effort dearer, or fly slower."
+    advice = Advice("costs.q_control", float(f"{2.0 * max(config.costs.q_control, 0.05):.2g}"))
+    return _reading("controls at bounds", f"{value:.0%}", "at most 20%", meaning, value <= 0.2, advice)
+
+
+def _samples(frames: Sequence[Frame], config: PlannerConfig) -> Reading | None:
+    if config.vehicle.model != _MODEL:
+        return None
+    low, high = _bounds(config)
+    s = config.sampling
+    names = ("variance_thrust", "variance_rate_xy", "variance_rate_xy", "variance_rate_z")
+    deviation = np.sqrt([max(getattr(s, name), 1e-12) for name in names])
+    below = np.vectorize(lambda x: 0.5 * math.erfc(-x / math.sqrt(2.0)))
+
+    def share(frame: Frame) -> Array:
+        """Return the share of the noise that the bounds cut off around the chosen controls, by control, shape [4]."""
+        controls = frame.plan.command.astype(np.float64)
+        return (below((low - controls) / deviation) + below((controls - high) / deviation)).mean(axis=0)
+
+    by_control = np.mean([share(frame) for frame in frames[-10:]], axis=0)
+    value, worst = float(by_control.mean()), names[int(by_control.argmax())]
+    meaning = "The bounds cut off much of the noise, so that samples repeat each other: draw less noise."
+    advice = Advice(f"sampling.{worst}", float(f"{0.5 * getattr(s, worst):.2g}"))
+    return _reading("samples at bounds", f"{value:.0%} expected", "at most 30%", meaning, value <= 0.3, advice)
+
+
+def _spread(frames: Sequence[Frame], config: PlannerConfig) -> Reading:
+    def spread(frame: Frame) -> float:
+        safe = known_safe(frame)
+        cost = frame.plan.stage2_cost[safe if safe.any() else slice(None)].astype(np.float64)
+        return float((np.median(cost) - cost.min()) / max(abs(cost.min()), 1.0))
+
+    value = _mean(frames, spread)
+    meaning = "The candidates cost nearly the same, so that little decides between them: weigh the goal more."
+    advice = Advice("costs.q_position", float(f"{1.5 * config.costs.q_position:.3g}"))
+    return _reading("spread of S2", f"{value:.1%}", "at least 0.5%", meaning, value >= 0.005, advice)
+
+
+def _safe(frames: Sequence[Frame], config: PlannerConfig) -> Reading:
+    value = _mean(frames, lambda frame: float(known_safe(frame).mean()))
+    meaning = "Few candidates are safe: the drone is too fast for what it sees, or asks for too much clearance."
+    advice = Advice("vehicle.speed_limit", float(f"{0.8 * config.vehicle.speed_limit:.2g}"))
+    return _reading("safe candidates", f"{value:.0%}", "at least 30%", meaning, value >= 0.3, advice)
+
+
+def _tracking(frames: Sequence[Frame], config: PlannerConfig) -> Reading:
+    anchors = config.anchor_count
+
+    def error(frame: Frame) -> float:
+        gaps = np.linalg.norm(frame.plan.positions[:anchors] - frame.plan.guides[:anchors], axis=-1)
+        return float(gaps.mean())
+
+    value, limit = _mean(frames, error), 0.15 * config.lookahead
+    meaning = "Rollouts leave their guides, so that anchors no longer spread them: weigh the tracking more."
+    advice = Advice("costs.q_track", float(f"{1.5 * max(config.costs.q_track, 1.0):.3g}"))
+    return _reading("distance from guides", f"{value:.2f} m", f"at most {limit:.2f} m", meaning, value <= limit, advice)
+
+
+def _time(frames: Sequence[Frame], config: PlannerConfig) -> Reading:
+    times = [frame.timings_ms.get("plan", 0.0) for frame in frames]
+    period = 1e3 * frames[-1].source.period
+    value = float(np.median(times))
+    meaning = "Planning takes too long for its period: draw fewer samples."
+    advice = Advice("sampling.samples", max(config.sampling.samples // 2, 1)) if config.sampling.samples > 1 else None
+    is_healthy = value <= 0.8 * period
+    return _reading("plan time", f"{value:.1f} of {period:.0f} ms", "at most 80%", meaning, is_healthy, advice)
+
+
+def _reading(label: str, value: str, healthy: str, meaning: str, is_healthy: bool, advice: Advice | None) -> Reading:
+    return Reading(label, value, healthy, meaning, is_healthy, None if is_healthy else advice)

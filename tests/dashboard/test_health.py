@@ -1,0 +1,85 @@
+"""The health of the planner: what is not healthy gets better by the advice."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from aero_planner import PlannerConfig
+from aero_viz.catalog import open_source
+from aero_viz.dashboard.health import readings
+from aero_viz.dashboard.history import effective_samples
+from aero_viz.session import Frame, Session
+
+
+def flown(changes: dict[str, object], ticks: int = 25) -> list[Frame]:
+    session = Session(open_source("forest", seed=0), config=PlannerConfig().replace(changes))
+    session.judge_candidates().result()
+    frames = [session.tick() for _ in range(ticks)]
+    session.close()
+    return frames
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Frame]:
+    return flown({})
+
+
+def reading(frames: list[Frame], label: str):
+    return next(found for found in readings(frames) if found.label == label)
+
+
+def test_the_default_takes_the_best_sample_alone_and_the_advised_temperature_mends_it(frames):
+    before = reading(frames[-10:], "effective samples")
+    assert not before.is_healthy and before.advice is not None and "raise the temperature" in before.meaning
+    assert float(before.value.split()[0]) < 2.0
+    assert before.advice.path == "sampling.temperature"
+    assert before.advice.text(frames[-1].config).startswith("Try Temperature lambda: 0.003 → ")
+    after = flown({before.advice.path: before.advice.value})
+    assert reading(after[-10:], "effective samples").is_healthy
+    size = effective_samples(after[-1].plan, int(after[-1].plan.best), before.advice.value)
+    assert size > 0.03 * 128
+
+
+def test_the_figures_are_those_of_the_plans(frames):
+    found, plans = {r.label: r for r in readings(frames)}, [frame.plan for frame in frames]
+    config = frames[-1].config
+    safe = np.mean([frame.is_safe.mean() for frame in frames if frame.is_safe is not None])
+    assert found["safe candidates"].value == f"{safe:.0%}"
+    v = config.vehicle
+    high = np.array([v.thrust_max, v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
+    low = np.array([v.thrust_min, *-high[1:]])
+    at = [np.isclose(p.controls, low, atol=1e-3) | np.isclose(p.controls, high, atol=1e-3) for p in plans]
+    assert found["controls at bounds"].value == f"{np.mean(at):.0%}"
+    gaps = [np.linalg.norm(p.positions[:15] - p.guides[:15], axis=-1).mean() for p in plans]
+    assert found["distance from guides"].value == f"{np.mean(gaps):.2f} m"
+    times = [p.stage_ms["total"] for p in plans]
+    assert found["plan time"].value == f"{np.median(times):.1f} of 20 ms"
+
+
+@pytest.mark.parametrize(
+    ("changes", "label", "path"),
+    [
+        (
+            {"candidates.safe_clearance": 5.0, "stop_proof.stop_clearance": 5.0},
+            "safe candidates",
+            "vehicle.speed_limit",
+        ),
+        ({"sampling.variance_rate_xy": 90.0}, "samples at bounds", "sampling.variance_rate_xy"),
+        (
+            {"costs.q_track": 0.0, "costs.q_speed": 0.0, "costs.q_position": 900.0},
+            "distance from guides",
+            "costs.q_track",
+        ),
+    ],
+)
+def test_what_is_wrong_is_found_and_has_something_to_try(changes, label: str, path: str):
+    found = reading(flown(changes, 40)[-5:], label)
+    assert not found.is_healthy and found.advice is not None and found.advice.path == path
+
+
+def test_a_plan_that_takes_longer_than_its_period_asks_for_fewer_samples(frames):
+    slow = [dataclasses.replace(frame, timings_ms={"plan": 45.0}) for frame in frames]
+    found = reading(slow, "plan time")
+    assert found.value == "45.0 of 20 ms" and found.advice is not None
+    assert (found.advice.path, found.advice.value) == ("sampling.samples", 64)
