@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Plan, PlannerConfig, PlanStatus
+from aero_planner import DroneConfig, Plan, PlanStatus
 from aero_viz.logs.flight_figures import CLEARANCE_MAX
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
@@ -60,7 +60,7 @@ class Past:
     differs_at: float | None
     """First time at which the flight differs from the ghost [s]; None as long as it does not. In a recording, whose
     motion is given, another instance is chosen."""
-    pinned: PlannerConfig | None
+    pinned: DroneConfig | None
     """Configuration A; None while nothing is compared."""
     alternative: Frame | None
     """Newest plan of configuration A, which may be that of another tick; see `alternative_to`."""
@@ -76,7 +76,7 @@ class FlightHistory:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._pinned: PlannerConfig | None = None
+        self._pinned: DroneConfig | None = None
         self._alternative: Frame | None = None
         self._ghost_name = "before"
         self._clear()
@@ -142,7 +142,7 @@ class FlightHistory:
         self._events += events
 
     def _clear(self) -> None:
-        self._configs_before: dict[float, PlannerConfig] = {}
+        self._configs_before: dict[float, DroneConfig] = {}
         """Configuration before the changes at a tick, by its time [s]."""
         self._rows = np.empty((1024, len(COLUMNS)))
         self._count = 0
@@ -247,7 +247,7 @@ def _row(frame: Frame) -> Rows:
     )
 
 
-def change_text(before: PlannerConfig, now: PlannerConfig, *, most: int = 4) -> str:
+def change_text(before: DroneConfig, now: DroneConfig, *, most: int = 4) -> str:
     """Return the parameters that differ, with titles and units as in the tab Tune; empty if none does.
 
     Args:
@@ -256,7 +256,7 @@ def change_text(before: PlannerConfig, now: PlannerConfig, *, most: int = 4) -> 
         most: largest number of parameters to name.
     """
     changes = [
-        f"{PlannerConfig.find(path).title}: {_rounded(old)} → {_rounded(new)}"
+        f"{now.find(path).title}: {_rounded(old)} → {_rounded(new)}"
         for path, (old, new) in before.differences(now).items()
     ]
     more = [f"{len(changes) - most} more parameters"] if len(changes) > most else []

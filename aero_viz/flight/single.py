@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig, VehicleState
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.known_drone import config_for_flight
-from aero_viz.flight.metrics import FlightResult, config_name_of
+from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.state_noise import StateNoise
@@ -62,7 +63,7 @@ class FlightRecorders:
 def fly(
     world: World,
     *,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     seed: int = 0,
     device: str = "cpu",
     lidar: LidarModel | None = None,
@@ -79,7 +80,7 @@ def fly(
 
     Args:
         world: where to fly.
-        config: configuration of the planner; None is the default.
+        config: configuration, which also says which planner flies; None is the default of AERO-MPPI.
         seed: seed of LiDAR, noise and planner.
         device: Warp device.
         lidar, vehicle, rules, noise: as in `FlightBatch`.
@@ -101,7 +102,7 @@ def fly(
     config, rules = config or PlannerConfig(), rules or FlightRules()
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
-        name = config_name or config_name_of(config)
+        name = config_name or config.preset_name
         refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
         source = FlightSource(
             world,
@@ -109,7 +110,7 @@ def fly(
             vehicle=vehicle.commanded_by(config) if vehicle else VehicleModel.from_config(config),
             rules=rules,
             noise=noise,
-            control_step=config.sampling.dt,
+            control_step=config.control_step,
             seed=seed,
             device=device,
         )

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Arrival, Goal, Plan, PlannerConfig, Sweeps, VehicleState
+from aero_planner import Arrival, Goal, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
 from aero_viz.flight.explanation import goal_problem
@@ -23,10 +23,12 @@ from aero_viz.flight.simulator import Setting, Simulator
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.sweep_cache import Cloud, Pose, Scan, Sweep, SweepCache, join_returns
 from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import Plan
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import is_sweep_lost
 from aero_viz.sensors.models import LIDARS, LidarModel
-from aero_viz.session.source import Observation, SourceInfo
+from aero_viz.session.source import SourceInfo
 
 LATENCY_MAX = 0.5
 """Largest latency of the drone that can be chosen during a flight which began with less [s]."""

@@ -98,7 +98,7 @@ def write_sensor_log(
         lidar=lidar,
         vehicle=VehicleModel.from_config(config),
         rules=rules,
-        control_step=config.sampling.dt,
+        control_step=config.control_step,
         seed=seed,
     )
     try:

@@ -11,8 +11,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Planner, PlannerConfig
-from aero_planner.history import History
+from aero_planner.config import DroneConfig
+from aero_viz.planners.plan import Plan
+from aero_viz.planners.planner import Planner
+from aero_viz.planners.registry import make
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
@@ -45,8 +47,8 @@ class Engine:
         """Ticks of a recording that were skipped since its start."""
         self._configs = configs
         self._config = configs.current[0]
-        self._planner = Planner(self._config, device=device, seed=seed)
-        self.seed = seed
+        self._planner = make(self._config, device=device, seed=seed)
+        self._device, self.seed = device, seed
         """Seed of the planner's noise."""
         self._publish_frame = publish
         self._timeline = Timeline()
@@ -60,7 +62,7 @@ class Engine:
         return (float(times[0]), float(times[-1])) if times is not None and len(times) else self._timeline.time_range
 
     @property
-    def planned_config(self) -> PlannerConfig:
+    def planned_config(self) -> DroneConfig:
         """Configuration of the newest plan."""
         return self._config
 
@@ -94,9 +96,9 @@ class Engine:
     def replan(self) -> None:
         """Plan the current tick again, from the planner's state before its first plan."""
         if self._timeline:
-            self._plan(history=self._timeline.current.planner)
+            self._plan(again=self._timeline.current)
 
-    def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:
+    def flown(self) -> list[tuple[Checkpoint, DroneConfig]]:
         """Return every tick that can be returned to, with the configuration of its last plan."""
         return self._timeline.flown()
 
@@ -104,7 +106,7 @@ class Engine:
         """Plan a tick of an equal source again, and continue from there."""
         self.source.restore(checkpoint.source)
         self._timeline.append(checkpoint, self.source.observe().actual_state.position)
-        return self._plan(history=checkpoint.planner)
+        return self._plan(again=checkpoint)
 
     def alter(self, change: Callable[[Source], object]) -> None:
         """Change the source, such as its goal or its obstacles, and plan the current tick again.
@@ -184,31 +186,32 @@ class Engine:
     def _return_to(self, checkpoint: Checkpoint) -> None:
         self.source.restore(checkpoint.source)
         self._epoch += 1
-        self._plan(history=checkpoint.planner)
+        self._plan(again=checkpoint)
 
-    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0) -> Frame:
+    def _plan(self, *, again: Checkpoint | None = None, advance_ms: float = 0.0) -> Frame:
         """Plan and publish the source's current tick.
 
         Args:
-            history: the planner's state before a tick that is planned again; None for a new tick.
+            again: checkpoint of a tick that is planned again; None for a new tick.
             advance_ms: how long the source took to advance to this tick [ms].
         """
-        is_new = history is None
         config, version = self._configs.current
         started = time.perf_counter()
         observation = self.source.observe().remembered(config)
         observed = time.perf_counter()
         if config is not self._config:
             self._configure(config)
-        if history is None:
+        if again is None:
             history = self._planner.history()
         else:
             # Only after `_configure`: the history fits a planner of the same structure.
+            history = again.planner
             self._planner.restore(history)
-        plan = observation.plan_with(self._planner, samples=self.samples)
+        self._planner.samples = self.samples
+        plan = self._planner.plan(observation)
         planned = time.perf_counter()
-        is_safe = self.judge(self._planner)
-        if is_new:
+        is_safe = self.judge(self._planner, plan)
+        if again is None:
             checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)
             self._timeline.append(checkpoint, observation.actual_state.position)
             self._tick_ends.append(planned)
@@ -241,18 +244,18 @@ class Engine:
         )
         return self._publish(frame)
 
-    def judge(self, planner: Planner) -> NDArray[np.bool_] | None:
+    def judge(self, planner: Planner, plan: Plan) -> NDArray[np.bool_] | None:
         """Return which candidates of a planner's last plan are safe, shape [M]; None if nobody wants to know."""
-        return planner.safety().is_safe if self.judges else None
+        return planner.judge(plan) if self.judges else None
 
     def _publish(self, frame: Frame) -> Frame:
         self.frame = frame
         self._publish_frame(frame)
         return frame
 
-    def _configure(self, config: PlannerConfig) -> None:
+    def _configure(self, config: DroneConfig) -> None:
         try:
-            self._planner.configure(config)
+            self._planner = reconfigured(self._planner, config, device=self._device, seed=self.seed)
         except Exception:
             # Otherwise every later tick would fail in the same way, and undo would return to it.
             self._configs.drop(config, self._config)
@@ -270,6 +273,16 @@ class Engine:
         """Release the source and the planner."""
         self.source.close()
         self._planner.close()
+
+
+def reconfigured(planner: Planner, config: DroneConfig, *, device: str, seed: int) -> Planner:
+    """Return a planner with another configuration: the same one, unless the configuration is for another planner."""
+    if config.planner == planner.config.planner:
+        planner.configure(config)
+        return planner
+    other = make(config, device=device, seed=seed)
+    planner.close()
+    return other
 
 
 def _row(times: NDArray[np.float64], time: float) -> int:

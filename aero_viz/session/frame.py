@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Plan, PlannerConfig
-from aero_viz.session.source import Observation, SourceInfo
+from aero_planner.config import DroneConfig
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import Plan
+from aero_viz.session.source import SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ class Frame:
     """Input of the planner."""
     plan: Plan
     """Output of the planner."""
-    config: PlannerConfig
+    config: DroneConfig
     """Configuration of the planner."""
     config_version: int
     """Number of configuration changes in the session so far."""

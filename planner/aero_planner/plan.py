@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -100,6 +100,9 @@ class Plan:
     leading axis B, and `best`, `status`, `dropped_points` and `drag` are arrays of shape [B].
     """
 
+    extensions: ClassVar[tuple[str, ...]] = ("cells", "anchors", "guides", "samples", "terms")
+    """What it has besides candidate paths, their costs and the choice."""
+
     fine_range: Array
     """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [80, 160] by
     default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
@@ -180,6 +183,16 @@ class Plan:
             if make is None:
                 raise AttributeError(f"a plan has no attribute {name!r}")
             return self.__dict__.setdefault(name, make(name))
+
+    @property
+    def cost(self) -> Array:
+        """S2 of every instance, shape [M]."""
+        return self.stage2_cost
+
+    @property
+    def costs(self) -> dict[str, Array]:
+        """J_goal and J_col of every instance, by label, each of shape [M]."""
+        return {"goal": self.goal_cost, "collision": self.collision_cost}
 
     @property
     def command(self) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.session.frame import Frame
@@ -87,7 +87,7 @@ class Option:
     """A choice that a layer offers on the page, as a dropdown."""
 
     label: str
-    choices: Callable[[PlannerConfig], Sequence[str]]
+    choices: Callable[[DroneConfig], Sequence[str]]
     """Returns the choices under a configuration."""
     value: str
     """The current choice."""

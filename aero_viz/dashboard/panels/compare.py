@@ -7,7 +7,8 @@ import asyncio
 import numpy as np
 import viser
 
-from aero_planner import PlannerConfig, PlanStatus
+from aero_planner import PlanStatus
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
@@ -81,7 +82,7 @@ class ComparePanel(Panel):
             content = markup.block(*self._tables(frame, past, past.pinned))
         return [*self.update_without_frame(), (self.table, "content", content)]
 
-    def _tables(self, frame: Frame, past: Past, pinned: PlannerConfig) -> list[str]:
+    def _tables(self, frame: Frame, past: Past, pinned: DroneConfig) -> list[str]:
         a = past.alternative_to(frame)
         parts = [parameter_table(pinned, self.session.config)]
         if a is not None:
@@ -98,12 +99,12 @@ class ComparePanel(Panel):
         return parts
 
 
-def parameter_table(a: PlannerConfig, b: PlannerConfig) -> str:
+def parameter_table(a: DroneConfig, b: DroneConfig) -> str:
     """Return the parameters in which A and B differ as HTML."""
     differences = a.differences(b)
     if not differences:
         return markup.muted("A and B are the same configuration: move a slider below to change B.")
-    rows = [(PlannerConfig.find(path).title, f"{old}", f"{new}") for path, (old, new) in differences.items()]
+    rows = [(a.find(path).title, f"{old}", f"{new}") for path, (old, new) in differences.items()]
     return markup.columns(("parameter", "A", "B"), rows, tooltips=list(differences))
 
 
