@@ -215,20 +215,24 @@ def _run(
 
 def bench_compare(
     a: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="A")]],
-    b: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="B")]],
+    b: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="B")]],
     *,
     json: bool = False,
 ) -> None:
-    """Compare two runs of a benchmark through the same worlds.
+    """Compare runs of a benchmark through the same worlds.
 
-    A sign test over the worlds says whether the difference is significant. The runs may differ in the configuration and
-    in the versions of the packages. Fly each with its own --output.
+    Two runs are compared world by world, and more than two, such as those of several planners, side by side. A sign
+    test over the worlds says whether a difference is significant. The runs may differ in the planner, the configuration
+    and the versions of the packages. Fly each with its own --output.
 
     Args:
         a: Folder of the results of the first run.
-        b: Folder of the results of the second run.
+        b: Folder of the results of the second run, and of further ones.
         json: Print one JSON object.
     """
     from aero_viz.evaluation.bench.comparison import compare_runs
+    from aero_viz.evaluation.bench.side_by_side import compare_side_by_side
 
-    print_report(compare_runs(a, b), as_json=json)
+    if not b:
+        raise UserError("There is one run only; give the folders of two or more.")
+    print_report(compare_runs(a, b[0]) if len(b) == 1 else compare_side_by_side((a, *b)), as_json=json)

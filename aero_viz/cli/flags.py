@@ -18,7 +18,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
-from aero_viz.planners.registry import load
+from aero_viz.planners.registry import config_type
 from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.scenes.map_files import has_voxels
@@ -157,7 +157,7 @@ class ConfigFlags:
         if speed is not None:
             changes["vehicle.speed_limit"] = speed
         try:
-            return config_from_name(self.config, _config_type(self.planner)).replace(changes)
+            return config_from_name(self.config, config_type(self.planner)).replace(changes)
         except (ValueError, OSError) as error:
             raise UserError(str(error)) from error
 
@@ -170,11 +170,6 @@ class ConfigFlags:
         return name if config == config_from_name(self.config, type(config)) else f"{name}, changed"
 
 
-def _config_type(planner: str) -> type[DroneConfig]:
-    """Return the class of a planner's configuration; that of AERO-MPPI without an import of the planner itself."""
-    return PlannerConfig if planner == AERO_MPPI else load(planner).Config
-
-
 @functools.cache
 def config_flags_type(planner: str) -> type[ConfigFlags]:
     """Return the flags of a planner: `ConfigFlags` with those of its own parameters.
@@ -184,7 +179,7 @@ def config_flags_type(planner: str) -> type[ConfigFlags]:
     """
     if planner == AERO_MPPI:
         return ConfigFlags
-    values = _planner_flags_type(_config_type(planner))
+    values = _planner_flags_type(config_type(planner))
     fields = [("values", Inline[values], dataclasses.field(default_factory=values))]
     flags_type: Any = dataclasses.make_dataclass("ConfigFlags", fields, bases=(ConfigFlags,), frozen=True)
     flags_type.__doc__, flags_type.__module__ = ConfigFlags.__doc__, __name__

@@ -7,6 +7,7 @@ import functools
 import importlib
 import inspect
 import io
+import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -88,8 +89,7 @@ def _with_flags_of_planner(function: Callable[..., None], arguments: Sequence[st
     """
     if "config_flags" not in function.__annotations__:
         return function
-    following = zip(arguments, arguments[1:], strict=False)
-    named = [value for flag, value in following if flag == "--planner"]
+    named = [value for flag, value in itertools.pairwise(arguments) if flag == "--planner"]
     named += [flag.removeprefix("--planner=") for flag in arguments if flag.startswith("--planner=")]
     if not named:
         return function

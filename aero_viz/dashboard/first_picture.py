@@ -52,7 +52,7 @@ def show_first_picture(session: BaseSession, server: LocalServer, *, is_over: Ca
     for layer in layers:
         layer.eyes = [eye]
         if frame.source.recorded_plan is None or layer.name not in LIVE_PLAN:
-            changes += layer.update(frame)
+            changes += layer.show(frame)
     with server.atomic():
         apply(changes)
     server.flush()

@@ -9,18 +9,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import DroneConfig, Plan, PlanStatus
+from aero_planner import Plan, PlannerConfig, PlanStatus
+from aero_planner.config import DroneConfig
 from aero_viz.logs.flight_figures import CLEARANCE_MAX
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "clear", "unsafe",
-    "samples", "best", "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "third_cost", "fourth_cost", "plan_ms", "safe",
+    "clear", "unsafe", "samples", "best", "x", "y", "z",
 )  # fmt: skip
-"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
+"""Columns of the rows: [s], [m/s], [m], cost of the chosen candidate and up to four of its terms, [ms], number of safe
 candidates, number of those with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of
 samples of the chosen instance, number of that instance, position [m]. NaN where nothing is known."""
+_TERMS = 4
+"""Number of terms of the cost that have a column."""
 _SOLIDS_MAX = 3000
 """Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
@@ -214,7 +218,8 @@ def drone_clearance(frame: Frame) -> float:
     if world is not None and is_clearance_true(frame):
         distance = float(world.distance(position[None])[0])
     else:
-        points = frame.plan.filtered_points
+        plan = ensemble(frame.plan)
+        points = frame.observation.points if plan is None else plan.filtered_points
         distance = float(np.linalg.norm(points - position, axis=1).min(initial=np.inf))
     return float(np.clip(distance, 0.0, CLEARANCE_MAX))
 
@@ -228,19 +233,23 @@ def effective_samples(plan: Plan, instance: int, temperature: float) -> float:
 
 def _row(frame: Frame) -> Rows:
     plan, best, state = frame.plan, int(frame.plan.best), frame.observation.actual_state
+    terms = [float(cost[best]) for cost in plan.costs.values()] + [np.nan] * _TERMS
+    full, config, clear, effective = ensemble(plan), frame.config, np.nan, np.nan
+    if full is not None and isinstance(config, PlannerConfig):
+        clear = np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance)
+        effective = effective_samples(full, best, config.sampling.temperature)
     return np.array(
         (
             frame.time,
             np.linalg.norm(np.asarray(state.velocity)),
             drone_clearance(frame),
-            plan.stage2_cost[best],
-            plan.goal_cost[best],
-            plan.collision_cost[best],
+            plan.cost[best],
+            *terms[:_TERMS],
             frame.timings_ms.get("plan", 0.0),
             np.nan if frame.is_safe is None else np.count_nonzero(frame.is_safe),
-            np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
+            clear,
             plan.status == PlanStatus.NO_SAFE_CANDIDATE,
-            effective_samples(plan, best, frame.config.sampling.temperature),
+            effective,
             best,
             *np.asarray(state.position, dtype=np.float64),
         )

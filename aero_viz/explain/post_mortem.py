@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from aero_planner import PlanStatus
 from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
-from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.evidence import Evidence, PlanEvidence, Replanner
 from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
+from aero_viz.planners.plan import ensemble
 from aero_viz.scenes import World
 from aero_viz.session.frame import Frame
 
@@ -26,6 +27,7 @@ _APPROACH_MIN = 0.5
 """Mean speed from which a drone is on its way to the goal [m/s]."""
 _STOPPING = {PlanStatus.NO_SAFE_CANDIDATE: "no candidate was safe", PlanStatus.STALE_CLOUD: "the cloud was stale"}
 """Reason for which the planner stops the drone, by the status of the plan."""
+_ENDS = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}
 _MOVING = "hit a moving obstacle"
 _RADIUS = 6
 """Column of `World.cylinders` with the radius."""
@@ -81,7 +83,7 @@ class PostMortem:
         return "\n".join([*lines, *(f"- {text}" for text in self.sentences), *(f"? {text}" for text in self.missing)])
 
 
-def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
+def explain_flight(trace: FlightTrace) -> tuple[PostMortem, PlanEvidence | None]:
     """Return the report on a flight that has ended, and the evidence of the tick that matters most.
 
     That tick is the last one from which braking would have worked, or the last one of the flight.
@@ -105,7 +107,7 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
         replan.close()
 
 
-def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence | None]:
+def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, PlanEvidence | None]:
     last, end = trace.last, trace.end_position
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
@@ -123,7 +125,9 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time)
     sentences.append(_seen_sentence(seen, braking))
-    if braking is None or evidence is None:
+    if ensemble(last.plan) is None:
+        sentences.append("Whether braking would have worked is not known: this planner reports no braking paths.")
+    elif braking is None or evidence is None:
         sentences.append(f"Braking would not have worked from any of the last {len(frames)} ticks.")
     else:
         count = len(braking.safe)
@@ -162,7 +166,8 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
     """
     since: float | None = None
     for frame, cylinder in zip(reversed(frames), reversed(cylinders), strict=True):
-        moving = frame.plan.moving
+        plan = ensemble(frame.plan)
+        moving = None if plan is None else plan.moving
         if moving is None:
             return []
         distances = np.linalg.norm(moving.positions - cylinder[:2], axis=1)
@@ -212,12 +217,13 @@ def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Fr
     """
     cloud = frames[-1].observation.points
     for frame in reversed(frames):
-        if frame.plan.braking is None:
+        plan = ensemble(frame.plan)
+        if plan is None or plan.braking is None:
             return None
-        paths = frame.plan.braking.positions.astype(np.float64)
+        paths = plan.braking.positions.astype(np.float64)
         places = np.concatenate((paths, 0.5 * (paths[:, 1:] + paths[:, :-1])), axis=1)
         if world is not None:
-            steps = frame.config.sampling.dt * np.arange(paths.shape[1])
+            steps = frame.config.control_step * np.arange(paths.shape[1])
             times = frame.time + np.concatenate((steps, 0.5 * (steps[1:] + steps[:-1])))
             distance = world.distance(places.reshape(-1, 3), np.tile(times, len(paths)))
         else:
@@ -225,13 +231,13 @@ def _last_braking(frames: list[Frame], world: World | None, radius: float) -> Fr
 
             distance = KDTree(cloud).query(places.reshape(-1, 3))[0]
         clear = np.asarray(distance).reshape(len(paths), -1).min(axis=1) >= radius
-        slow = np.linalg.norm(frame.plan.braking.velocities[:, -1], axis=1) < float(STOPPED)
+        slow = np.linalg.norm(plan.braking.velocities[:, -1], axis=1) < float(STOPPED)
         if (clear & slow).any():
             return frame
     return None
 
 
-def _braking_tick(frame: Frame, evidence: Evidence, end: float) -> BrakingTick:
+def _braking_tick(frame: Frame, evidence: PlanEvidence, end: float) -> BrakingTick:
     state = frame.observation.actual_state
     up = rotate(np.asarray(state.quaternion), np.array([0.0, 0.0, 1.0]))
     return BrakingTick(
@@ -246,10 +252,12 @@ def _braking_tick(frame: Frame, evidence: Evidence, end: float) -> BrakingTick:
     )
 
 
-def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence]:
+def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, PlanEvidence]:
     """Explain a flight that stalled, ran out of time or left the world, by its last plan."""
     last, frames = trace.last, list(trace.frames)
     evidence = replan(last)
+    if not isinstance(evidence, Evidence):
+        return _no_progress_of_paths(trace, facts, evidence)
     to_go, escape = (evidence.stage2.values_of(name).sum(axis=1) for name in ("blocked_path", "escape"))
     rows = []
     for m, kind in enumerate(evidence.plan.kinds):
@@ -257,11 +265,12 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         row = {"instance": m, "kind": kind, "safe": bool(evidence.is_safe[m]), "obstacle": name}
         row |= {"clearance_m": round(clearance, 3), "at_s": round(time, 3), "blocked_path": round(float(to_go[m]), 1)}
         rows.append(row | {"escape": round(float(escape[m]), 1)})
-    anchors = rows[: last.config.anchor_count]
-    limit = last.config.costs.distance_max
+    config: Any = last.config
+    anchors = rows[: config.anchor_count]
+    limit = config.costs.distance_max
     blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
     nearest = ", ".join(f"{name} ({n})" for name, n in blocking.most_common(4))
-    unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
+    unsafe, weight = sum(not row["safe"] for row in anchors), config.costs.q_blocked
     statuses = Counter(map(_status, frames))
     stops = {why: statuses[status] for status, why in _STOPPING.items()}
     remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
@@ -275,7 +284,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
         sentences.append(
             f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
-            f"up to {to_go.max() / weight:.1f} m of {last.config.lookahead:g} m are blocked."
+            f"up to {to_go.max() / weight:.1f} m of {config.lookahead:g} m are blocked."
         )
     if places := evidence.places:
         are = "place without progress is" if places == 1 else "places without progress are"
@@ -283,6 +292,28 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     approach = _approach(frames)
     cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)], approach)
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
+
+
+def _no_progress_of_paths(
+    trace: FlightTrace, facts: dict[str, Any], evidence: PlanEvidence
+) -> tuple[PostMortem, PlanEvidence]:
+    """Explain a flight without a collision by what every planner tells: its status, and its candidates' costs."""
+    frames, plan, best = list(trace.frames), evidence.plan, int(evidence.plan.best)
+    statuses = Counter(map(_status, frames))
+    stops = {why: statuses[status] for status, why in _STOPPING.items()}
+    remaining = np.linalg.norm(np.asarray(trace.last.observation.goal.position) - trace.end_position)
+    terms = ", ".join(f"{name} {cost[best]:.3g}" for name, cost in plan.costs.items())
+    sentences = [
+        f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
+        f"{np.count_nonzero(evidence.is_safe)} of {len(plan.kinds)} candidates are safe in the last plan.",
+        f"It chose candidate {best} ({plan.kinds[best]}), at a cost of {float(plan.cost[best]):.3g}: {terms}.",
+        *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
+    ]
+    name, approach = _ENDS[facts["outcome"]], _approach(frames)
+    cause = next((why for why, count in stops.items() if count > 0.5 * len(frames)), "moving without coming nearer")
+    if approach > _APPROACH_MIN:
+        cause = f"coming nearer to the goal at {approach:.1f} m/s"
+    return PostMortem(**facts, cause=f"{name}: {cause}", sentences=sentences, missing=trace.missing), evidence
 
 
 def _approach(frames: list[Frame]) -> float:
@@ -295,7 +326,7 @@ def _approach(frames: list[Frame]) -> float:
 def _stall_cause(
     outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array, approach: float
 ) -> str:
-    name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
+    name = _ENDS[outcome]
     if approach > _APPROACH_MIN:
         return f"{name}: coming nearer to the goal at {approach:.1f} m/s"
     if why := next((why for why, count in stops.items() if count > 0.5 * ticks), None):

@@ -68,6 +68,7 @@ class Planner(ABC):
 
     def restore(self, history: Any) -> None:
         """Continue from `history`, which may be that of another planner: then start over."""
+        return None
 
     def reset(self, *, seed: int | None = None) -> None:
         """Start over, with another seed if one is given."""
@@ -79,3 +80,4 @@ class Planner(ABC):
 
     def close(self) -> None:
         """Release processes, threads and device memory."""
+        return None

@@ -1,4 +1,4 @@
-"""A motion-primitive planner: quintics to end points around the goal direction, checked against the points of the cloud.
+"""A motion-primitive planner: quintics to end points around the goal direction, checked against the cloud.
 
 NumPy and SciPy only. Every plan has end points at several angles and lengths, each reached by a quintic per axis from
 the present position, velocity and acceleration. The cheapest path that keeps its clearance is flown, by its
@@ -143,11 +143,10 @@ class Primitives(Planner):
         self._tree = KDTree(near) if len(near) else None
 
     def _ends(self, observation: Observation) -> tuple[Array, Array]:
-        """Return the end points [m], shape [M, 3], and the velocities there [m/s], shape [M, 3]; the last one brakes."""
+        """Return end points [m] and the velocities there [m/s], each of shape [M, 3]; the last one brakes."""
         paths, limit = self.config.paths, self.config.vehicle.speed_limit
-        position, velocity = (
-            np.asarray(v, dtype=np.float64) for v in (observation.state.position, observation.state.velocity)
-        )
+        state = observation.state
+        position, velocity = np.asarray(state.position, float), np.asarray(state.velocity, float)
         to_goal = np.asarray(observation.goal.position, dtype=np.float64) - position
         distance = float(np.linalg.norm(to_goal))
         azimuth = np.arctan2(to_goal[1], to_goal[0]) + np.radians(paths.width) * _spread(paths.columns)

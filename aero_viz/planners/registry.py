@@ -21,6 +21,8 @@ SHIPPED = {
 }
 """Module and class of each planner that ships."""
 _GROUP = "aero_viz.planners"
+_used: set[str] = set()
+"""Names and places of the planners that were loaded."""
 
 
 @functools.cache
@@ -54,7 +56,34 @@ def load(name: str) -> type[Planner]:
         raise UserError(f"The planner {name} cannot be imported: {type(error).__name__}: {error}") from error
     if not (isinstance(found, type) and issubclass(found, Planner)):
         raise UserError(f"{place} is not a planner; derive it from aero_viz.planners.Planner.")
+    _used.update((name, place, found.Config.planner))
     return found
+
+
+def load_known(name: str) -> type[Planner]:
+    """Return the planner that a file names. Files may name registered planners, and those that this process uses.
+
+    Raises:
+        UserError: it is neither: a file may not choose which modules are imported.
+    """
+    if name not in (*_known(), *_known().values(), *_used):
+        raise UserError(f"The file is for the planner {name}, which is not registered here; add --planner {name}.")
+    return load(name)
+
+
+def config_type(planner: str, *, of_file: bool = False) -> type[DroneConfig]:
+    """Return the class of a planner's configuration; that of AERO-MPPI without an import of its kernels.
+
+    Args:
+        planner: name of the planner.
+        of_file: True if a file names it, see `load_known`.
+
+    Raises:
+        UserError: there is no such planner.
+    """
+    if planner == PlannerConfig.planner:
+        return PlannerConfig
+    return (load_known if of_file else load)(planner).Config
 
 
 def _import(module: str) -> object:
@@ -98,5 +127,4 @@ def config_of_entry(entries: Mapping[str, Any]) -> DroneConfig:
         ValueError: a parameter is unknown, or a value out of bounds.
     """
     planner = entries.get("planner", PlannerConfig.planner)
-    kind = PlannerConfig if planner == PlannerConfig.planner else load(planner).Config
-    return kind.from_dict(entries["config"])
+    return config_type(planner, of_file=True).from_dict(entries["config"])

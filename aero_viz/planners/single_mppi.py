@@ -1,4 +1,4 @@
-"""One MPPI toward the goal: the ablation of AERO-MPPI without its ensemble and without its anchors."""
+"""One MPPI toward the goal: the paper's ablation, AERO-MPPI without its ensemble."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from aero_viz.planners.aero_mppi import AeroMppi
 
 @dataclass(frozen=True)
 class SingleMppiConfig(PlannerConfig):
-    """The parameters of AERO-MPPI with one instance, whose guide leads straight to the goal."""
+    """The parameters of AERO-MPPI with one instance, whose guide leads toward the goal."""
 
     planner: ClassVar[str] = "single_mppi"
 
-    anchors: AnchorConfig = field(default_factory=functools.partial(AnchorConfig, columns=1, rows=1, refine=False))
+    anchors: AnchorConfig = field(default_factory=functools.partial(AnchorConfig, columns=1, rows=1))
     candidates: CandidateConfig = field(default_factory=functools.partial(CandidateConfig, previous=False))
 
 

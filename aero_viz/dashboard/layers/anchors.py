@@ -17,6 +17,7 @@ class AnchorLayer(Layer):
     """Initial endpoints, refined anchors, and a line from each endpoint to its anchor."""
 
     name, title = "anchors", "Endpoints and anchors"
+    needs = "anchors"
     keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
@@ -46,6 +47,7 @@ class GuideLayer(Layer):
     """Quintic guides to the anchors."""
 
     name, title = "guides", "Guides"
+    needs = "guides"
     keys = (ColorKey("guides", palette.GUIDE),)
 
     def create(self, scene: viser.SceneApi) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import FlightHistory
+from aero_viz.planners.plan import lacks
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -105,6 +106,8 @@ class Layer:
     """Legend entries that are the same for all frames."""
     on_by_default: ClassVar[bool] = True
     """True if the layer is visible when the page opens."""
+    needs: ClassVar[str] = ""
+    """Extension of a plan that the layer draws, of `planners.plan.EXTENSIONS`; empty for what all plans have."""
     needs_samples: ClassVar[bool] = False
     """True if the layer draws the Stage I samples, which frames include only on request."""
 
@@ -170,8 +173,14 @@ class Layer:
         """Return the changes that show the constants of another source."""
         return []
 
+    def show(self, frame: Frame) -> list[Change]:
+        """Return the changes that show `frame`; none if its plan lacks what the layer draws."""
+        if self.needs:
+            self.available = not lacks(frame.plan, self.needs)
+        return self.update(frame) if self.available or not self.needs else []
+
     def update(self, frame: Frame) -> list[Change]:
-        """Return the changes that show `frame`."""
+        """Return the changes that show `frame`, whose plan has what the layer needs."""
         return []
 
     def legend(self, frame: Frame) -> Sequence[ColorKey | ColorScale]:

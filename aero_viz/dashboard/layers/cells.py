@@ -72,6 +72,7 @@ class FineCellLayer(Layer):
     """
 
     name, title, on_by_default = "fine_cells", "Occupied cells", False
+    needs = "cells"
     keys = (ColorKey("occupied, continued: not measured", palette.CONTINUED),)
 
     def create(self, scene: viser.SceneApi) -> None:
@@ -98,6 +99,7 @@ class UnseenCellLayer(Layer):
     """
 
     name, title, on_by_default = "unseen_cells", "Unseen cells", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._patches = CellPatches(scene, "/unseen_cells", opacity=0.5)
@@ -123,6 +125,7 @@ class CoarseCellLayer(Layer):
     """
 
     name, title, on_by_default = "coarse_cells", "Coarse cells and safe directions", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._pose = scene.add_frame("/coarse_cells/body", show_axes=False)

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
@@ -18,6 +19,7 @@ class SampleLayer(Layer):
     """The K Stage I rollouts of one instance, coloured by the rank of their cost."""
 
     name, title, on_by_default, needs_samples = "samples", "Stage I samples", False, True
+    needs = "samples"
 
     def create(self, scene: viser.SceneApi) -> None:
         self.instance = Option("Instance", _instances, _CHOSEN, hint="Instance whose samples are drawn.")
@@ -40,5 +42,6 @@ class SampleLayer(Layer):
         return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:])]
 
 
-def _instances(config: PlannerConfig) -> tuple[str, ...]:
-    return (_CHOSEN, *(f"{i} {kind}" for i, kind in enumerate(config.kinds)))
+def _instances(config: DroneConfig) -> tuple[str, ...]:
+    kinds = config.kinds if isinstance(config, PlannerConfig) else ()
+    return (_CHOSEN, *(f"{i} {kind}" for i, kind in enumerate(kinds)))

@@ -29,6 +29,7 @@ class OccludedSpaceLayer(Layer):
     """
 
     name, title, on_by_default = "occluded_space", "Occluded space", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._drone = scene.add_frame("/occluded_space/drone", show_axes=False)

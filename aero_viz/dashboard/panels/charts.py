@@ -21,6 +21,7 @@ from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 _WIDTH, _HEIGHT = 300, 46
@@ -66,8 +67,9 @@ CURVES = (
     Curve("speed [m/s]", ("speed",), (palette.NOSE,), ".2f"),
     Curve("clearance [m]", ("clearance",), (palette.CHOSEN,), ".2f", top=CLEARANCE_MAX),
     Curve(
-        "chosen S2 (log)", ("cost", "goal_cost", "collision_cost"),
-        (palette.DRONE, palette.GUIDE, palette.BAD), ".4g", names=("all", "goal", "collision"), is_log=True,
+        "chosen S2 (log)", ("cost", "goal_cost", "collision_cost", "third_cost", "fourth_cost"),
+        (palette.DRONE, palette.GUIDE, palette.BAD, palette.NOSE, palette.RECORDED), ".4g",
+        names=("all", "goal", "collision", "", ""), is_log=True,
     ),
     Curve("plan [ms]", ("plan_ms",), (palette.GUIDE,), ".1f", has_outliers=True),  # the first plan compiles kernels
     Curve(
@@ -187,7 +189,13 @@ def _known(curve: Curve, rows: Array) -> Curve:
 
 
 def _named(curve: Curve, frame: Frame) -> Curve:
-    """Return a curve with the label that suits the source: only a flight in a world knows the true clearance."""
+    """Return a curve with the label that suits the source and the planner.
+
+    Only a flight in a world knows the true clearance, and the terms of the cost are those of the planner.
+    """
+    if curve.columns[0] == "cost" and ensemble(frame.plan) is None:
+        names = ("all", *frame.plan.costs)[: len(curve.columns)]
+        return dataclasses.replace(curve, label="chosen cost (log)", names=names)
     if curve.columns != ("clearance",):
         return curve
     label = "true clearance [m]" if is_clearance_true(frame) else "clearance to the cloud [m]"

@@ -7,13 +7,15 @@ import asyncio
 import numpy as np
 import viser
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.charts import flight_table
+from aero_viz.dashboard.panels.status import clearance_text
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
@@ -110,32 +112,28 @@ def parameter_table(a: DroneConfig, b: DroneConfig) -> str:
 
 def tick_table(a: Frame, b: Frame) -> str:
     """Return the plans of A and B for the same tick in figures, as HTML."""
-    labels = (
-        "chosen instance", "S2", "goal cost", "collision cost", "speed limit and blocked path",
-        "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates", "candidates with clearance",
-        "plan time [ms]",
-    )  # fmt: skip
-    return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), zip(labels, _plan(a), _plan(b), strict=True))
+    figures = [_plan(frame) for frame in (a, b)]
+    labels = dict.fromkeys(label for plan in figures for label in plan)
+    rows = [(label, *(plan.get(label, "") for plan in figures)) for label in labels]
+    return markup.columns((f"plan at {b.time:.2f} s", "A", "B"), rows)
 
 
-def _plan(frame: Frame) -> tuple[str, ...]:
-    plan, best = frame.plan, int(frame.plan.best)
-    s2, goal, collision = (float(cost[best]) for cost in (plan.stage2_cost, plan.goal_cost, plan.collision_cost))
-    clearance, reach = float(plan.clearance[best].min()), frame.config.costs.distance_max
-    is_beyond = clearance >= reach - 1e-4
-    clear = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
-    return (
-        f"{best} {plan.kinds[best]}",
-        f"{s2:.5g}",
-        f"{goal:.5g}",
-        f"{collision:.5g}",
-        f"{s2 - goal - collision:.5g}",
-        f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
-        f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
-        _safe_count(frame),
-        f"{clear} of {len(plan.kinds)}",
-        f"{frame.timings_ms.get('plan', 0.0):.1f}",
-    )
+def _plan(frame: Frame) -> dict[str, str]:
+    """Return the figures of a plan by their labels. Terms that only one planner has are empty for the other one."""
+    plan, best, config = frame.plan, int(frame.plan.best), frame.config
+    full = ensemble(plan)
+    terms = {name: float(cost[best]) for name, cost in plan.costs.items()}
+    figures = {"chosen instance": f"{best} {plan.kinds[best]}", "S2" if full else "cost": f"{plan.cost[best]:.5g}"}
+    figures |= {f"{name} cost": f"{value:.5g}" for name, value in terms.items()}
+    if full is not None:
+        figures["speed limit and blocked path"] = f"{float(plan.cost[best]) - sum(terms.values()):.5g}"
+    figures["clearance of the plan [m]"] = clearance_text(frame).replace("≥", "≥ ")
+    figures["speed at its end [m/s]"] = f"{np.linalg.norm(plan.velocities[best, -1]):.2f}"
+    figures["safe candidates"] = _safe_count(frame)
+    if isinstance(config, PlannerConfig):
+        clear = np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance)
+        figures["candidates with clearance"] = f"{clear} of {len(plan.kinds)}"
+    return figures | {"plan time [ms]": f"{frame.timings_ms.get('plan', 0.0):.1f}"}
 
 
 def _safe_count(frame: Frame) -> str:

@@ -150,7 +150,7 @@ class SharePanel(Panel):
         run_script(client, _TAKE_LINK)
         try:
             query = client.local_storage.get_item(_STORED, timeout=_LINK_TIMEOUT)
-            link = Link.parse(query or "")
+            link = Link.parse(query or "", type(self.session.config))
         except (RuntimeError, TimeoutError):  # the page was closed, or stores nothing
             return
         except ValueError as error:

@@ -16,7 +16,7 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.why_card import card, chart
 from aero_viz.errors import UserError
-from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.evidence import PlanEvidence, Replanner
 from aero_viz.explain.picking import describe_point, pick
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -50,7 +50,7 @@ class WhyPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._replan = Replanner()
-        self._evidence: Evidence | None = None
+        self._evidence: PlanEvidence | None = None
         self._due = 0.0
         self._shown: tuple[object, ...] = ()
         self._switch = gui.add_checkbox("Explain the plan", False, hint=_HINT)

@@ -14,7 +14,8 @@ _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
 REPORT_FILES = (_HEADER, "summary.json", "success.png", "speed.png", "throughput.png")
 """Files of a folder of results that have the ending of a world: the header, the summary and the plots."""
 _FIXED_KEYS = (
-    "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "planner", "config", "rows",
+    "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "planner",
+    "config", "rows",
 )  # fmt: skip
 """Keys of the header that must be equal for a run to be resumed."""
 

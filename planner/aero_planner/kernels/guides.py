@@ -93,9 +93,7 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         heading_goal = heading(start.goal_quaternion[b])
         elapsed = float(-1.0)
         if m < anchor_count:
-            p1 = p0 + start.lookahead[b] * quat_rotate(q0, initial_directions[b, m])
-            if c.refine != 0:
-                p1 = refine(b, m, lane, start, cells, initial_directions)
+            p1 = refine(b, m, lane, start, cells, initial_directions)
             if start.lookahead[b] >= goal_distance:
                 v1 = start.goal_velocity[b]
         elif m == previous_index:

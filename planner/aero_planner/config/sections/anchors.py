@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.parameters import ParameterSection, live, structural, switch
+from aero_planner.parameters import ParameterSection, live, structural
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,4 @@ class AnchorConfig(ParameterSection, section="anchors"):
         0.5, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
         "speed limit; 0 as in the paper.",
         label="Look-ahead per speed limit",
-    )  # fmt: skip
-    refine: bool = switch(
-        True, "Move each anchor to the safest direction of its coarse cell, as in the paper; off: the guides lead "
-        "straight along the directions of the anchors.",
-        label="Refine anchors",
     )  # fmt: skip
