@@ -27,6 +27,7 @@ from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.models import LidarModel
 from aero_viz.session import Session
+from aero_viz.session.engine import PLANNER_FAILED
 from aero_viz.session.frame import Frame
 
 FlightProgress = Callable[[float, float], None]
@@ -134,6 +135,7 @@ def fly(
             record_tick()
             simulator.observers.append(record_tick)
         plan_ms: list[float] = []
+        failure: str | None = None
         ended = source.outcome is not None and active_recorder is None  # collided at the start: nothing to plan
         while not ended:
             frame = session.tick()
@@ -142,9 +144,12 @@ def fly(
                 active_recorder.write(frame)
             if progress is not None:
                 progress(distance_share(world, frame.observation.actual_state.position), frame.time)
-            ended = is_interrupted() or source.outcome is not None
+            ended = is_interrupted() or source.outcome is not None or frame.outcome is not None
+            failure = frame.explanation if source.outcome is None and frame.outcome is not None else None
         median = statistics.median(plan_ms) if plan_ms else None
         result = dataclasses.replace(source.result(), config=name, plan_ms_median=median)
+        if failure is not None:
+            result = dataclasses.replace(result, reason=PLANNER_FAILED, explanation=failure)
         interrupted = is_interrupted()
     if interrupted:
         raise FlightInterrupted(result)

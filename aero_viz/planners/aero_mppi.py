@@ -40,6 +40,9 @@ class AeroMppi(Planner):
             samples=self.samples,
         )
 
+    def attempt(self, observation: Observation) -> Plan:
+        return self.plan(observation)  # an error would be one of this program, and is reported as such
+
     def configure(self, config: DroneConfig) -> None:
         self.core.configure(config)  # type: ignore[arg-type]
         self.config = config

@@ -13,7 +13,7 @@ from aero_planner import Plan as EnsemblePlan
 from aero_planner import PlanStatus
 
 Array = NDArray[np.float32]
-EXTENSIONS = ("cells", "anchors", "guides", "samples", "terms")
+EXTENSIONS = ("cells", "anchors", "guides", "samples", "tracks")
 """What a plan may have besides a minimal one, as plans of AERO-MPPI do; see `aero_planner.Plan`."""
 
 

@@ -13,6 +13,10 @@ from aero_viz.planners.observation import Observation
 from aero_viz.planners.plan import CandidatePlan, Plan
 
 
+class PlannerError(RuntimeError):
+    """A planner could not plan. It ends the flight with its text, but not the session."""
+
+
 class Planner(ABC):
     """Plans from observations, one drone at a time. A derived class needs `plan` and, for parameters, a `Config`.
 
@@ -55,8 +59,21 @@ class Planner(ABC):
         """Plan once.
 
         Raises:
-            Exception: of any kind; a simulated flight then ends with its text.
+            Exception: of any kind; it ends the flight with its text, see `attempt`.
         """
+
+    def attempt(self, observation: Observation) -> Plan:
+        """Return `plan(observation)`.
+
+        Raises:
+            PlannerError: it failed, for whatever reason.
+        """
+        try:
+            return self.plan(observation)
+        except PlannerError:
+            raise
+        except Exception as error:
+            raise PlannerError(f"The planner failed: {type(error).__name__}: {error}") from error
 
     def configure(self, config: DroneConfig) -> None:
         """Use another configuration from the next plan on; raises ValueError if it cannot be used."""

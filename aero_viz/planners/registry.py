@@ -37,16 +37,24 @@ def names() -> tuple[str, ...]:
 
 @functools.cache
 def load(name: str) -> type[Planner]:
-    """Return the planner with a name or at a place "module:Class". Its module may lie in the current folder.
+    """Return the planner with a name, at a place "module:Class", or in another process, "connect:ADDRESS".
+
+    A module may lie in the current folder.
 
     Raises:
         UserError: there is no such planner, or it cannot be imported; says why.
     """
+    if name.startswith("connect:"):
+        from aero_viz.planners.remote import planner_at
+
+        _used.add(name)
+        return planner_at(name.removeprefix("connect:"))
     place = _known().get(name, name)
     module, colon, attribute = place.partition(":")
     if not colon:
         raise UserError(
-            f"There is no planner {name!r}{did_you_mean(name, names())}; known: {', '.join(names())}, or module:Class."
+            f"There is no planner {name!r}{did_you_mean(name, names())}; known: {', '.join(names())}, module:Class, or "
+            "connect:ADDRESS."
         )
     try:
         found = _import(module)

@@ -183,7 +183,7 @@ class Comparison:
         elif self._planner.config is not self.pinned:
             self._planner = reconfigured(self._planner, self.pinned, device=self._device, seed=self._engine.seed)
         self._planner.restore(history)
-        plan = self._planner.plan(frame.observation)
+        plan = self._planner.attempt(frame.observation)
         timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", 0.0)}
         is_safe = self._engine.judge(self._planner, plan)
         return dataclasses.replace(frame, plan=plan, config=self.pinned, timings_ms=timings, is_safe=is_safe)

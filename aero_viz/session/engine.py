@@ -12,13 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config import DroneConfig
+from aero_viz.errors import UserError
 from aero_viz.planners.plan import Plan
-from aero_viz.planners.planner import Planner
+from aero_viz.planners.planner import Planner, PlannerError
 from aero_viz.planners.registry import make
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint, Timeline
+
+PLANNER_FAILED = "planner_failed"
+"""Outcome of a flight whose planner has failed; `Frame.explanation` says how."""
 
 
 class Engine:
@@ -83,7 +87,7 @@ class Engine:
         """
         if self.frame is None or not self._timeline:
             return self._plan()
-        if self.source.outcome is not None:
+        if self.frame.outcome is not None:
             return self.frame
         started = time.perf_counter()
         self.source.advance(self.frame.plan)
@@ -208,7 +212,10 @@ class Engine:
             history = again.planner
             self._planner.restore(history)
         self._planner.samples = self.samples
-        plan = self._planner.plan(observation)
+        try:
+            plan = self._planner.attempt(observation)
+        except PlannerError as error:
+            return self._fail(str(error))
         planned = time.perf_counter()
         is_safe = self.judge(self._planner, plan)
         if again is None:
@@ -243,6 +250,16 @@ class Engine:
             is_safe=is_safe,
         )
         return self._publish(frame)
+
+    def _fail(self, reason: str) -> Frame:
+        """End the flight because the planner has failed: publish its last plan once more, with the reason.
+
+        Raises:
+            UserError: there is no plan yet.
+        """
+        if self.frame is None:
+            raise UserError(reason)
+        return self._publish(dataclasses.replace(self.frame, outcome=PLANNER_FAILED, explanation=reason))
 
     def judge(self, planner: Planner, plan: Plan) -> NDArray[np.bool_] | None:
         """Return which candidates of a planner's last plan are safe, shape [M]; None if nobody wants to know."""

@@ -97,5 +97,6 @@ def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
         "out_of_bounds": "left the world.",
         "timeout": "ran out of time.",
         "end": "end of the recording.",
+        "planner_failed": "ended.",
     }.get(outcome, outcome)
     return f"{name}: {ending} {explanation or ''}".rstrip()

@@ -342,7 +342,7 @@ class Session(BaseSession):
 
     def _tick(self) -> Frame:
         frame = self._engine.tick()
-        outcome = self._engine.source.outcome
+        outcome = self._engine.source.outcome or frame.outcome
         if outcome is not None:
             self._set_playing(False)
             if self._announced_epoch != frame.epoch:

@@ -100,7 +100,7 @@ class Plan:
     leading axis B, and `best`, `status`, `dropped_points` and `drag` are arrays of shape [B].
     """
 
-    extensions: ClassVar[tuple[str, ...]] = ("cells", "anchors", "guides", "samples", "terms")
+    extensions: ClassVar[tuple[str, ...]] = ("cells", "anchors", "guides", "samples", "tracks")
     """What it has besides candidate paths, their costs and the choice."""
 
     fine_range: Array

@@ -174,10 +174,10 @@ class Layer:
         return []
 
     def show(self, frame: Frame) -> list[Change]:
-        """Return the changes that show `frame`; none if its plan lacks what the layer draws."""
+        """Return the changes that show `frame` if the layer is visible, and its plan has what the layer draws."""
         if self.needs:
             self.available = not lacks(frame.plan, self.needs)
-        return self.update(frame) if self.available or not self.needs else []
+        return self.update(frame) if self.visible and (self.available or not self.needs) else []
 
     def update(self, frame: Frame) -> list[Change]:
         """Return the changes that show `frame`, whose plan has what the layer needs."""

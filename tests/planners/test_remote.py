@@ -1,0 +1,168 @@
+"""Planners in other processes: a real process with the client that ships, and peers that misbehave."""
+
+import json
+import socket
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_source import small_source, wait_for
+
+from aero_viz.errors import UserError
+from aero_viz.flight import FlightRules, fly
+from aero_viz.planners import load
+from aero_viz.scenes import World
+from aero_viz.session import Session
+
+CLIENTS = Path(__file__).parents[2] / "clients"
+PROGRAM = """
+import os, sys, time
+sys.path.insert(0, sys.argv[1])
+import aero_viz_planner
+
+def plan(request):
+    count = (request.history or 0) + 1
+    if count == 8 and sys.argv[3] == "raise":
+        raise RuntimeError("out of ideas")
+    if count == 8 and sys.argv[3] == "crash":
+        os._exit(3)
+    assert len(request.points) % 3 == 0 and request.config["vehicle.speed_limit"] > 0
+    speed = request.config["pace"]
+    away = [g - p for g, p in zip(request.goal, request.position)]
+    size = max(sum(x * x for x in away) ** 0.5, 1e-9)
+    v = [speed * min(1.0, size / speed) * x / size for x in away]
+    path = [[p + 0.1 * i * x for p, x in zip(request.position, v)] for i in range(11)]
+    controls = [[2.0 * (x - y) for x, y in zip(v, request.velocity)] + [0.0]] * 10
+    costs = {"goal": [size]}
+    return {"positions": [path], "costs": costs, "best": 0, "step": 0.1, "controls": controls, "history": count}
+
+pace = {"name": "pace", "default": 2.0, "low": 0.5, "high": 5.0, "unit": "m/s", "help": "Speed."}
+aero_viz_planner.serve(sys.argv[2], plan, parameters=[pace], name="test")
+"""
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., str]]:
+    """Return a function that starts a planner in a process of its own and returns its name."""
+    running: list[subprocess.Popen[str]] = []
+
+    def start(fault: str = "") -> str:
+        address = str(tmp_path / f"planner{len(running)}.sock")
+        command = [sys.executable, "-c", PROGRAM, str(CLIENTS), address, fault]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        running.append(process)
+        assert process.stderr is not None and "listens at" in process.stderr.readline()
+        return f"connect:{address}"
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture
+def world() -> World:
+    return World.from_dict({"name": "empty", "start": [0, 0, 2], "goal": [6, 0, 2]})
+
+
+def test_a_planner_in_another_process_flies_and_its_parameters_are_known(start: Callable[..., str], world: World):
+    kind = load(start()).Config
+    assert kind.find("remote.pace").title == "Pace [m/s]" and kind().get("remote.pace") == 2.0
+    slow, fast = (fly(world, config=kind().replace({"remote.pace": pace})) for pace in (1.5, 3.0))
+    assert slow.arrived and fast.arrived and slow.flight_time_s > 1.3 * fast.flight_time_s
+    session = Session(small_source(), config=kind())
+    frames = [session.tick() for _ in range(5)]
+    session.seek(frames[2].time).result()
+    assert session.frame is not None and np.array_equal(session.frame.plan.command, frames[2].plan.command)
+    session.close()
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [("raise", "RuntimeError: out of ideas"), ("crash", "closed the connection")]
+)
+def test_a_failure_ends_the_flight_with_its_reason_and_not_the_session(
+    start: Callable[..., str], world: World, fault: str, reason: str
+):
+    config = load(start(fault)).Config()
+    result = fly(world, config=config)
+    assert not result.arrived and result.reason == "planner_failed" and reason in str(result.explanation)
+    if fault == "crash":
+        return
+    session = Session(small_source(), config=config)
+    notices: list[str] = []
+    session.subscribe_notices(lambda notice: notices.append(notice.text))
+    frame = session.tick()
+    while frame.outcome is None:
+        frame = session.tick()
+    assert frame.outcome == "planner_failed" and reason in str(frame.explanation)
+    assert session.tick() is frame, "the flight is over"
+    wait_for(lambda: notices)
+    session.seek(0.0).result()
+    assert session.frame is not None and session.frame.outcome is None, "the session goes on"
+    session.close()
+
+
+def answers(listener: socket.socket, after_hello: bytes) -> None:
+    """Say hello to each connection, and send `after_hello` in place of a plan."""
+    hello = json.dumps({"type": "hello", "version": 1, "name": "bad", "parameters": []}).encode()
+    while True:
+        try:
+            connection, _ = listener.accept()
+        except OSError:
+            return
+        head = connection.recv(8, socket.MSG_WAITALL)
+        text, _ = struct.unpack("<II", head)
+        if b"hello" in connection.recv(text, socket.MSG_WAITALL):
+            connection.sendall(struct.pack("<II", len(hello), 0) + hello)
+        else:
+            connection.sendall(after_hello)
+
+
+def message(header: object, numbers: bytes = b"") -> bytes:
+    text = json.dumps(header).encode()
+    return struct.pack("<II", len(text), len(numbers)) + text + numbers
+
+
+@pytest.mark.parametrize(
+    ("garbage", "reason"),
+    [
+        (b"HTTP/1.1 200 OK\r\n\r\n", "bytes, which is no message"),
+        (struct.pack("<II", 3, 0) + b"{{{", "something else than a message"),
+        (message([1, 2]), "something else than a JSON object"),
+        (message({"type": "plan"}), "it sent a plan that is none: KeyError.'shape'"),
+        (message({"type": "plan", "shape": [1, 3, 3], "costs": {}, "best": 0, "step": 1}, b"\0" * 8), "2 numbers for"),
+        (
+            message({"type": "plan", "shape": [1, 3, 3], "costs": {"a": 7}, "best": 0, "step": 1}, b"\0" * 36),
+            r"costs\[",
+        ),
+        (message({"type": "plan", "shape": [1, 2, 3], "costs": {}, "best": 0, "step": 1}, b"\xff" * 24), "not finite"),
+        (
+            message({"type": "plan", "shape": [1, 2, 3], "costs": {}, "best": 0, "step": 1, "model": "x"}, b"\0" * 24),
+            "model",
+        ),
+    ],
+)
+def test_garbage_is_refused_in_one_sentence(garbage: bytes, reason: str):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=answers, args=(listener, garbage), daemon=True).start()
+        config = load(f"connect:127.0.0.1:{listener.getsockname()[1]}").Config()
+        with pytest.raises(UserError, match=reason):
+            Session(small_source(), config=config).tick()
+        listener.shutdown(socket.SHUT_RDWR)
+
+
+def test_an_address_without_a_planner_is_refused(tmp_path: Path):
+    with pytest.raises(UserError, match=r"No planner can be used at .*nothing listens there"):
+        load(f"connect:{tmp_path}/absent.sock")
+    with pytest.raises(UserError, match=r"example.com is not this computer"):
+        load("connect:example.com:80")
+
+
+def test_rules_end_a_flight_before_its_planner_does(start: Callable[..., str], world: World):
+    result = fly(world, config=load(start()).Config(), rules=FlightRules(time_limit=0.1))
+    assert result.reason == "timeout"
