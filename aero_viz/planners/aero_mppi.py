@@ -31,14 +31,7 @@ class AeroMppi(Planner):
         self.device = self.core.device
 
     def plan(self, observation: Observation) -> Plan:
-        return self.core.plan(
-            observation.state,
-            observation.goal,
-            observation.sweeps,
-            cloud_age=observation.cloud_age,
-            ground_height=observation.ground_height,
-            samples=self.samples,
-        )
+        return observation.plan_with(self.core, samples=self.samples)
 
     def attempt(self, observation: Observation) -> Plan:
         return self.plan(observation)  # an error would be one of this program, and is reported as such

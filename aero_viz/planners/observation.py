@@ -14,6 +14,7 @@ from aero_planner import Goal, Sweeps, VehicleState
 from aero_planner.config import DroneConfig
 
 if TYPE_CHECKING:
+    from aero_planner import Plan, Planner
     from aero_viz.scenes import World
 
 
@@ -56,6 +57,17 @@ class Observation:
     def points(self) -> NDArray[np.float32]:
         """Joined cloud [m], shape [P, 3], world frame; the same array as long as the sweeps are the same."""
         return self.sweeps.points
+
+    def plan_with(self, planner: Planner, *, samples: bool = False) -> Plan:
+        """Return the plan of `aero_planner.Planner` for this observation; arguments and errors as for its `plan`."""
+        return planner.plan(
+            self.state,
+            self.goal,
+            self.sweeps,
+            cloud_age=self.cloud_age,
+            ground_height=self.ground_height,
+            samples=samples,
+        )
 
     @property
     def actual_state(self) -> VehicleState:
