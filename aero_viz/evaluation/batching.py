@@ -50,8 +50,9 @@ class FlightOptions:
 
         Only AERO-MPPI flies all of them at once; flights of other planners follow one another.
         """
-        if all(isinstance(config, PlannerConfig) for config in configs):
-            return FlightBatch(worlds, config=configs, seed=seeds, config_names=names, threads=threads, **vars(self))
+        on_device = [config for config in configs if isinstance(config, PlannerConfig)]
+        if len(on_device) == len(configs):
+            return FlightBatch(worlds, config=on_device, seed=seeds, config_names=names, threads=threads, **vars(self))
         return SerialFlights(worlds, configs=configs, seeds=seeds, names=names, options=dict(vars(self)))
 
 

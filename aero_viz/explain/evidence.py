@@ -19,7 +19,7 @@ from aero_viz.explain.obstacles import Obstacles
 from aero_viz.planners.aero_mppi import AeroMppi
 from aero_viz.planners.plan import Plan as AnyPlan
 from aero_viz.planners.plan import ensemble
-from aero_viz.planners.planner import Planner
+from aero_viz.planners.planner import Planner, PlannerError
 from aero_viz.planners.registry import make
 from aero_viz.session.engine import reconfigured
 from aero_viz.session.frame import Frame
@@ -45,7 +45,7 @@ class PlanEvidence:
 class Evidence(PlanEvidence):
     """Everything that led to a plan of M instances with K samples and N steps."""
 
-    plan: Plan
+    plan: Plan  # type: ignore[assignment]
     stage2: CostTerms
     """Terms of S2 of each instance; of one that a stop has replaced, those of the stop."""
     stage1: CostTerms
@@ -95,11 +95,16 @@ class Replanner:
             )
         planner = self._configured(frame)
         planner.restore(frame.checkpoint.planner)
-        plan = planner.plan(frame.observation)
+        try:
+            plan = planner.attempt(frame.observation)
+        except PlannerError as error:
+            raise UserError(str(error)) from error
         full = ensemble(plan)
         if full is not None and isinstance(planner, AeroMppi):
             return _evidence(frame, full, planner.core)
-        return PlanEvidence(frame, plan, _equal(plan, frame.plan), known_safe(dataclasses.replace(frame, plan=plan)))
+        judged = planner.judge(plan)
+        is_safe = known_safe(dataclasses.replace(frame, plan=plan)) if judged is None else judged
+        return PlanEvidence(frame, plan, _equal(plan, frame.plan), is_safe)
 
     def close(self) -> None:
         """Release the planner."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from aero_planner.config import DroneConfig, PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
@@ -13,13 +13,12 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
+Config = TypeVar("Config", bound=DroneConfig)
 _FACTS = ("view_min", "view_max", "delay", "height_max")
 """Names of the parameters that are facts of a flight, in whatever section of a configuration."""
 
 
-def config_for_drone(
-    config: DroneConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None
-) -> DroneConfig:
+def config_for_drone(config: Config, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None) -> Config:
     """Return `config` with the facts of a flight in place of default values.
 
     The facts are the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The
@@ -68,7 +67,7 @@ def facts_after(changes: Mapping[str, Any], *, config: DroneConfig, flight: Sour
     return facts | {path: chosen.get(path, after[path]) for path in _paths(config).values() if path in changes}
 
 
-def _with_facts(config: DroneConfig, facts: Mapping[str, float]) -> DroneConfig:
+def _with_facts(config: Config, facts: Mapping[str, float]) -> Config:
     """Return `config` with facts in place of default values; a value that was chosen stays."""
     default = type(config)()
     return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})

@@ -72,11 +72,13 @@ class VehicleModel(ParameterSection, section="drone"):
     @classmethod
     def from_config(cls, config: DroneConfig, **changes: float) -> VehicleModel:
         """Return the vehicle that the planner of `config` assumes, with `changes` of its parameters."""
-        return cls(**{name: getattr(config.vehicle, name) for name in PLANNED} | changes).commanded_by(config)
+        planned: dict[str, Any] = {name: getattr(config.vehicle, name) for name in PLANNED}
+        return cls(**planned | changes).commanded_by(config)
 
     def commanded_by(self, config: DroneConfig) -> VehicleModel:
         """Return this vehicle with commands as the vehicle model of `config` has them."""
         section = registry.load("models", config.vehicle.model).parameters
-        is_known = section is not None and section.section in config.sections()
-        own = dataclasses.asdict(getattr(config, section.section)) if is_known else {}
+        own: dict[str, float] = {}
+        if section is not None and section.section in config.sections():
+            own = dataclasses.asdict(getattr(config, section.section))
         return dataclasses.replace(self, model=config.vehicle.model, own=own)

@@ -295,7 +295,7 @@ def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:
 
 def _plan(stamp: int, message: Any) -> LoggedPlan | None:
     """Return the plan in a message, None if its numbers do not fit together."""
-    costs = {name: np.asarray(getattr(message, name), np.float32) for name in _COSTS}
+    costs: dict[str, Any] = {name: np.asarray(getattr(message, name), np.float32) for name in _COSTS}
     count = len(message.kinds)
     if any(len(values) != count for values in costs.values()) or not (
         0 <= message.best < count or message.best == count == 0

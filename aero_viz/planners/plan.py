@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Plan as EnsemblePlan
 from aero_planner import PlanStatus
 
-Array = NDArray[np.float32]
+Array = NDArray[Any]
 EXTENSIONS = ("cells", "anchors", "guides", "samples", "tracks")
 """What a plan may have besides a minimal one, as plans of AERO-MPPI do; see `aero_planner.Plan`."""
 
@@ -23,10 +23,8 @@ class Plan(Protocol):
     `CandidatePlan` and the plan of AERO-MPPI have all of this. Arrays never change.
     """
 
-    @property
-    def extensions(self) -> tuple[str, ...]:
-        """What else the plan has, of `EXTENSIONS`."""
-        ...
+    extensions: ClassVar[tuple[str, ...]]
+    """What else the plan has, of `EXTENSIONS`."""
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.config import DroneConfig, ParameterInfo
+from aero_planner.config import DroneConfig, ParameterInfo, PlannerConfig
 from aero_viz.planners.observation import Observation
 from aero_viz.planners.plan import CandidatePlan, Plan
 
@@ -43,6 +43,8 @@ class Planner(ABC):
             )
         if "planner" not in vars(cls.Config):
             cls.Config.planner = f"{cls.__module__}:{cls.__qualname__}"
+        if "listing" not in vars(cls.Config) and cls.Config.planner != PlannerConfig.planner:
+            cls.Config.listing = f"aero-viz parameters --planner {cls.Config.planner}"
 
     def __init__(self, config: DroneConfig | None = None, *, device: str = "cpu", seed: int = 0) -> None:
         self.config = self.Config() if config is None else config

@@ -109,10 +109,10 @@ class _RemotePlanner(Planner):
 
     def plan(self, observation: Observation) -> CandidatePlan:
         started = time.perf_counter()
-        points = observation.points
+        points, ground = observation.points, observation.ground_height
         request = {
             "type": "plan", "time": observation.time, "seed": self.seed, "history": self._history,
-            "cloud_age": observation.cloud_age, "ground_height": observation.ground_height, "config": self._values(),
+            "cloud_age": observation.cloud_age, "ground_height": _numbers(ground), "config": self._values(),
             "goal": _numbers(observation.goal.position), "points": len(points),
             **{name: _numbers(getattr(observation.state, name))
                for name in ("position", "velocity", "quaternion", "acceleration")},
@@ -234,8 +234,9 @@ def _plan(reply: dict[str, Any], body: NDArray[np.float32], total_ms: float) -> 
     return plan
 
 
-def _numbers(values: Any) -> list[float] | None:
-    return None if values is None else np.asarray(values, dtype=np.float64).tolist()
+def _numbers(values: Any) -> Any:
+    """Return numbers as JSON can hold them; None where they are unknown."""
+    return None if values is None or not np.isfinite(values).all() else np.asarray(values, dtype=np.float64).tolist()
 
 
 def _refuse(constant: str) -> None:

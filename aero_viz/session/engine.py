@@ -215,7 +215,10 @@ class Engine:
         try:
             plan = self._planner.attempt(observation)
         except PlannerError as error:
-            return self._fail(str(error))
+            if again is not None or self.frame is None or not self._timeline:
+                raise UserError(str(error)) from error
+            # The flight ends at its last plan, with the reason.
+            return self._publish(dataclasses.replace(self.frame, outcome=PLANNER_FAILED, explanation=str(error)))
         planned = time.perf_counter()
         is_safe = self.judge(self._planner, plan)
         if again is None:
@@ -250,16 +253,6 @@ class Engine:
             is_safe=is_safe,
         )
         return self._publish(frame)
-
-    def _fail(self, reason: str) -> Frame:
-        """End the flight because the planner has failed: publish its last plan once more, with the reason.
-
-        Raises:
-            UserError: there is no plan yet.
-        """
-        if self.frame is None:
-            raise UserError(reason)
-        return self._publish(dataclasses.replace(self.frame, outcome=PLANNER_FAILED, explanation=reason))
 
     def judge(self, planner: Planner, plan: Plan) -> NDArray[np.bool_] | None:
         """Return which candidates of a planner's last plan are safe, shape [M]; None if nobody wants to know."""

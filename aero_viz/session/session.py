@@ -16,7 +16,7 @@ from aero_viz.session.clock import Clock
 from aero_viz.session.command_loop import USER_MISTAKES, CommandLoop
 from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
-from aero_viz.session.engine import Engine
+from aero_viz.session.engine import PLANNER_FAILED, Engine
 from aero_viz.session.frame import Frame, end_sentence
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
@@ -104,6 +104,8 @@ class Session(BaseSession):
         def command() -> None:
             if self._engine.source.outcome is not None:
                 self._engine.seek(self.time_range[0])
+            elif self.frame is not None and self.frame.outcome == PLANNER_FAILED:
+                self._engine.seek(self.frame.time)  # it may go well now
             self._set_playing(True)
             self._clock.restart(self._engine.next_time)
 

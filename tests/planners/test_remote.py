@@ -1,6 +1,8 @@
 """Planners in other processes: a real process with the client that ships, and peers that misbehave."""
 
 import json
+import os
+import shutil
 import socket
 import struct
 import subprocess
@@ -63,6 +65,66 @@ def start(tmp_path: Path) -> Iterator[Callable[..., str]]:
     for process in running:
         process.kill()
         process.wait()
+
+
+CPP = """
+#include "aero_viz_planner.hpp"
+
+aero_viz::Reply plan(const aero_viz::Request& request) {
+    if (request.history == 7.0 && std::getenv("FAULT")) throw std::runtime_error("out of \\"ideas\\"");
+    double size = 1e-9, speed = request.config.at("pace");
+    for (int i = 0; i < 3; ++i) size = std::hypot(size, request.goal[i] - request.position[i]);
+    aero_viz::Reply reply;
+    reply.paths.resize(1);
+    std::array<double, 4> control{};
+    for (int i = 0; i < 3; ++i)
+        control[i] = 2.0 * (speed * std::min(1.0, size / speed) * (request.goal[i] - request.position[i]) / size
+                            - request.velocity[i]);
+    for (int step = 0; step < 11; ++step) {
+        aero_viz::Vector place = request.position;
+        for (int i = 0; i < 3; ++i) place[i] += 0.1 * step * request.velocity[i];
+        reply.paths[0].push_back(place);
+    }
+    reply.controls.assign(10, control);
+    reply.costs["goal"] = {size};
+    reply.history = request.history + 1.0;
+    return reply;
+}
+
+int main(int, char** argv) { aero_viz::serve(argv[1], plan, {{"pace", 2.0, 0.5, 5.0, "m/s", "Speed."}}, "c++"); }
+"""
+
+
+@pytest.fixture(scope="module")
+def cpp(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A planner in C++, compiled with the client that ships."""
+    if shutil.which("c++") is None:
+        message = "the C++ client was not tested: c++ not found; install a C++ compiler"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    folder = tmp_path_factory.mktemp("cpp")
+    (folder / "planner.cpp").write_text(f"#include <algorithm>\n{CPP}")
+    command = ["c++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "-I", str(CLIENTS), "planner.cpp", "-o", "planner"]
+    subprocess.run([*command, "-pthread"], cwd=folder, check=True)
+    return folder / "planner"
+
+
+@pytest.mark.parametrize("fault", [False, True])
+def test_a_planner_in_c_plus_plus_flies(cpp: Path, tmp_path: Path, world: World, fault: bool):
+    address = str(tmp_path / "planner.sock")
+    environment = {**os.environ, **({"FAULT": "1"} if fault else {})}
+    with subprocess.Popen([str(cpp), address], stderr=subprocess.PIPE, text=True, env=environment) as process:
+        try:
+            assert process.stderr is not None and "planner c++ listens at" in process.stderr.readline()
+            config = load(f"connect:{address}").Config().replace({"remote.pace": 3.0})
+            result = fly(world, config=config)
+            if fault:
+                assert result.reason == "planner_failed" and str(result.explanation).endswith('out of "ideas"')
+            else:
+                assert result.arrived and 2.0 < result.max_speed < 3.3
+        finally:
+            process.kill()
 
 
 @pytest.fixture

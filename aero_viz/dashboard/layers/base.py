@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner import Plan as EnsemblePlan
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import FlightHistory
@@ -243,6 +244,11 @@ class Lines:
             buffer[count:] = buffer[count - 1, 1]
             changes.append((self.node, "colors", buffer))
         return changes
+
+
+def full_plan(frame: Frame) -> EnsemblePlan:
+    """Return the plan of a frame for a layer that needs an extension, and is shown only if the plan has it."""
+    return cast(EnsemblePlan, frame.plan)
 
 
 def relative_to_drone(positions: ArrayLike, frame: Frame) -> NDArray[np.float32]:

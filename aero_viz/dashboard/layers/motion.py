@@ -32,7 +32,7 @@ class MotionLayer(Layer):
         return self._lines.show(_rings(frame), _MOVING)
 
     def legend(self, frame: Frame) -> Sequence[ColorKey]:
-        return self.keys if frame.plan.moving is not None and len(frame.plan.moving.radii) else ()
+        return self.keys if len(_rings(frame)) else ()
 
 
 def _rings(frame: Frame) -> NDArray[np.float32]:

@@ -8,7 +8,16 @@ import viser
 from aero_planner import PlannerConfig
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines, relative_to_drone
+from aero_viz.dashboard.layers.base import (
+    Change,
+    ColorScale,
+    Layer,
+    Lines,
+    Option,
+    full_plan,
+    polylines,
+    relative_to_drone,
+)
 from aero_viz.session.frame import Frame
 
 _CHOSEN = "the chosen one"
@@ -28,7 +37,7 @@ class SampleLayer(Layer):
         self._lines = Lines(scene, "/samples/drone/lines", thickness=1.0, capacity=4096)
 
     def update(self, frame: Frame) -> list[Change]:
-        plan, chosen = frame.plan, self.instance.value
+        plan, chosen = full_plan(frame), self.instance.value
         if plan.samples is None:
             return self._lines.show(np.zeros((0, 2, 3)), _COLORS[0])
         instance = int(plan.best) if chosen == _CHOSEN else min(int(chosen.split()[0]), len(plan.samples) - 1)

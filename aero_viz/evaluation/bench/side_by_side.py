@@ -32,7 +32,7 @@ class SideBySide:
     def to_dict(self) -> dict[str, Any]:
         """Return everything as plain values for JSON."""
         runs = [
-            {"row": row, "planner": planner, **summary.to_dict()}
+            {**summary.to_dict(), "run": summary.planner, "planner": planner}
             for row, summaries in self.rows.items()
             for planner, summary in zip(self.planners, summaries, strict=True)
         ]
