@@ -183,9 +183,10 @@ def ensemble(plan: Plan | None) -> EnsemblePlan | None:
     return plan if isinstance(plan, EnsemblePlan) else None
 
 
-def lacks(plan: Plan, extension: str) -> str:
-    """Return in one line that a plan lacks an extension, of `EXTENSIONS`; empty if it has it."""
-    return "" if extension in plan.extensions else f"This planner has no {extension}."
+def lacks(plan: Plan, *extensions: str) -> str:
+    """Return in one line which of some `EXTENSIONS` a plan lacks; empty if it has all of them."""
+    missing = [name for name in extensions if name not in plan.extensions]
+    return f"This planner has no {', '.join(missing)}." if missing else ""
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...], *, finite: bool = True) -> Array:

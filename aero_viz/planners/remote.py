@@ -87,6 +87,13 @@ def _parameter(one: dict[str, Any]) -> Any:
     return live(default, str(one.get("unit", "")), low, high, str(one.get("help", "A parameter.")), basic=True)
 
 
+@dataclasses.dataclass(frozen=True)
+class _History:
+    """What the other process wants to be given with its next question."""
+
+    value: Any
+
+
 class _RemotePlanner(Planner):
     """A planner in another process. It holds no state: the other process gets back the history that it has sent."""
 
@@ -97,11 +104,11 @@ class _RemotePlanner(Planner):
         self._connection: _Connection | None = None
         self._history: Any = None
 
-    def history(self) -> Any:
-        return self._history
+    def history(self) -> _History:
+        return _History(self._history)
 
     def restore(self, history: Any) -> None:
-        self._history = history
+        self._history = history.value if isinstance(history, _History) else None
 
     def reset(self, *, seed: int | None = None) -> None:
         super().reset(seed=seed)

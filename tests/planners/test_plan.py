@@ -28,6 +28,7 @@ def test_a_minimal_plan_is_completed():
 def test_a_minimal_plan_says_what_it_lacks():
     plan = CandidatePlan(**PLAN)
     assert [lacks(plan, name) for name in EXTENSIONS] == [f"This planner has no {name}." for name in EXTENSIONS]
+    assert lacks(plan, "cells", "guides") == "This planner has no cells, guides." and lacks(plan) == ""
     assert ensemble(plan) is None
 
 

@@ -184,7 +184,7 @@ def test_the_page_has_its_sliders_and_says_what_it_lacks():
             assert not any(layers[name].available for name in ("anchors", "guides", "samples", "fine_cells", "motion"))
             assert layers["rollouts"].available
             texts = [value for _, name, value in changes if name == "content"]
-            assert any("This planner has no cells." in text for text in texts)
+            assert any("This planner has no samples, guides, anchors, cells, tracks." in text for text in texts)
             assert any("Cost (log)" in text for text in texts)
         finally:
             dashboard.close()

@@ -85,9 +85,8 @@ class LayerPanel(Panel):
             self.page.refresh()
 
     def update(self, frame: Frame) -> list[Change]:
-        missing = {layer.needs: lacks(frame.plan, layer.needs) for layer in self.page.layers.values() if layer.needs}
-        lines = [line for line in missing.values() if line]
-        changes: list[Change] = [(self._missing, "content", markup.note(" ".join(lines)) if lines else "")]
+        missing = lacks(frame.plan, *dict.fromkeys(layer.needs for layer in self.page.layers.values() if layer.needs))
+        changes: list[Change] = [(self._missing, "content", markup.note(missing) if missing else "")]
         for number, switches in list(self._switches.items()):
             for layer, switch in switches:
                 changes += [(switch, "visible", layer.available), (switch, "value", layer.is_visible_to(number))]
