@@ -14,7 +14,7 @@ from aero_viz.dashboard.layers.selection import SelectionLayer
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
-from aero_viz.dashboard.panels.why_card import card, chart
+from aero_viz.dashboard.panels.why_card import NUMBERED_MAX, card, chart
 from aero_viz.errors import UserError
 from aero_viz.explain.evidence import PlanEvidence, Replanner
 from aero_viz.explain.picking import describe_point, pick
@@ -123,7 +123,8 @@ class WhyPanel(Panel):
             self._due = now + _PERIOD
             self._shown = wanted
             self._work.put(frame)
-        options = ("none", *map(str, range(len(frame.plan.kinds))))
+        count = len(frame.plan.kinds)
+        options = ("none", *map(str, range(count if count <= NUMBERED_MAX else 0)))
         changes: list[Change] = [(self._numbers, "visible", True)]
         return changes if self._numbers.options == options else [*changes, (self._numbers, "options", options)]
 

@@ -22,6 +22,8 @@ _TAB20 = palette.as_rgb((255 * matplotlib.colormaps["tab20"](np.arange(20))[:, :
 _COLORS: list[Rgb] = [_TAB20[i] for i in (0, 4, 5, 6, 8, 16, 2, 12, 1, 18, 3, 9, 17, 7, 19, 13, 10, 11, 14, 15)]
 """Colours of the terms of S2, in their order; those of terms beyond the last colour begin again."""
 _WIDTH, _HEIGHT = 290, 40
+NUMBERED_MAX = 40
+"""Largest number of candidates that are shown with their numbers; of more, a click in the scene selects one."""
 
 
 def chart(evidence: PlanEvidence, selected: int | None) -> str:
@@ -38,6 +40,7 @@ def chart(evidence: PlanEvidence, selected: int | None) -> str:
     total = excess.sum(axis=0)
     height = np.log1p(total) / max(float(np.log1p(total).max()), 1e-9)
     columns = numbers = ""
+    are_numbered = len(plan.kinds) <= NUMBERED_MAX
     for m, kind in enumerate(plan.kinds):
         parts = "".join(
             f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(color)}"></div>'
@@ -55,7 +58,8 @@ def chart(evidence: PlanEvidence, selected: int | None) -> str:
             f'style="flex:1;height:{max(4.0, 100.0 * height[m]):.0f}%{outline}{faint}">{parts}</div>'
         )
         style = f"color:{css(palette.SELECTED)};font-weight:700" if m == selected else ""
-        numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{m}</div>'
+        number = m if are_numbered else ""
+        numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{number}</div>'
     shown = [(name, color) for name, color, row in zip(names, colors, excess, strict=True) if row.max() > 0.0]
     heading = markup.heading(f"{name} above the least of each term, log.: shorter is better", "faint: unsafe")
     bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0 0">{columns}</div>'
