@@ -37,7 +37,8 @@ class Sidestep(Planner):
 
     def plan(self, observation: Observation) -> CandidatePlan:
         sides, speed = self.config.sides, self.config.vehicle.speed_limit
-        position, velocity, goal = observation.state.position, observation.state.velocity, observation.goal.position
+        state, sought = observation.state, observation.goal.position
+        position, velocity, goal = (np.asarray(value, float) for value in (state.position, state.velocity, sought))
         ahead = np.arctan2(*(goal - position)[1::-1])
         angles = ahead + np.radians(sides.width) * np.linspace(-0.5, 0.5, 21)
         directions = np.stack((np.cos(angles), np.sin(angles), np.full(21, 0.2 * (goal - position)[2])), axis=1)
@@ -45,11 +46,9 @@ class Sidestep(Planner):
         points = observation.points[np.isfinite(observation.points).all(axis=1)][::20]
         points = points[(np.linalg.norm(points - position, axis=1) < 8.0) & (np.abs(points - position)[:, 2] < 1.0)]
         gaps = np.linalg.norm(paths[:, 1:, None] - points, axis=-1).min(axis=-1, initial=5.0)
-        costs = {
-            "goal": np.linalg.norm(paths[:, -1] - goal, axis=1),
-            "obstacles": 100.0 * np.clip(sides.radius - gaps, 0.0, None).max(axis=1),
-        }
-        best = int(sum(costs.values()).argmin())
+        costs = {"goal": np.linalg.norm(paths[:, -1] - goal, axis=1)}
+        costs["obstacles"] = 100.0 * np.clip(sides.radius - gaps, 0.0, None).max(axis=1)
+        best = int(np.sum(list(costs.values()), axis=0).argmin())
         pull = 1.5 * (speed * directions[best] - velocity)  # acceleration toward the velocity along the path
         return CandidatePlan(paths, costs, best, STEP, controls=np.tile([*pull, 0.0], (20, 1)), clearance=gaps)
 

@@ -73,7 +73,8 @@ class VehicleModel(ParameterSection, section="drone"):
     def from_config(cls, config: DroneConfig, **changes: float) -> VehicleModel:
         """Return the vehicle that the planner of `config` assumes, with `changes` of its parameters."""
         planned: dict[str, Any] = {name: getattr(config.vehicle, name) for name in PLANNED}
-        return cls(**planned | changes).commanded_by(config)
+        planned.update(changes)
+        return cls(**planned).commanded_by(config)
 
     def commanded_by(self, config: DroneConfig) -> VehicleModel:
         """Return this vehicle with commands as the vehicle model of `config` has them."""
