@@ -18,6 +18,7 @@ from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
 from aero_viz.planners.plan import ensemble
 from aero_viz.scenes import World
+from aero_viz.session.engine import PLANNER_FAILED
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -97,6 +98,10 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, PlanEvidence | None]
         text = (
             "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight was not over."
         )
+        if outcome == PLANNER_FAILED:
+            return PostMortem(
+                **facts, cause="the planner failed", sentences=[last.explanation or ""], missing=trace.missing
+            ), None
         return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
     replan = Replanner()
     try:

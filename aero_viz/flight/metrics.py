@@ -35,7 +35,8 @@ class FlightResult:
 
     arrived: bool
     reason: str | None
-    """"arrived", "collision", "stall", "out_of_bounds" or "timeout"; None for a flight that has not ended."""
+    """"arrived", "collision", "stall", "out_of_bounds", "timeout" or "planner_failed"; None for one that has not
+    ended."""
     flight_time_s: float
     mean_speed: float
     """Length over time [m/s]."""

@@ -44,10 +44,21 @@ class PrimitiveSection(ParameterSection, section="paths"):
     horizon: float = live(1.6, "s", 0.3, 5.0, "Duration of a path.", basic=True)
     clearance: float = live(0.4, "m", 0.05, 5.0, "Smallest distance to a point of the cloud.", basic=True)
     margin: float = live(0.6, "m", 0.0, 5.0, "Distance beyond the clearance from which obstacles cost nothing.")
-    q_goal: float = live(1.0, "1/m", 0.0, 1e3, "Weight of the distance from the end to the goal.", basic=True)
-    q_obstacle: float = live(3.0, "1/m", 0.0, 1e3, "Weight of the missing margin, mean over the path.", basic=True)
-    q_effort: float = live(0.02, "s^4/m^2", 0.0, 1e3, "Weight of the mean squared acceleration.")
-    q_change: float = live(0.4, "1/m", 0.0, 1e3, "Weight of the distance from the end to that of the last plan.")
+    q_goal: float = live(
+        1.0, "1/m", 0.0, 1e3, "Weight of the distance from the end to the goal.", label="Goal weight", basic=True
+    )
+    q_obstacle: float = live(
+        3.0, "1/m", 0.0, 1e3, "Weight of the missing margin, mean over the path.", label="Obstacle weight", basic=True
+    )
+    q_effort: float = live(0.02, "s^4/m^2", 0.0, 1e3, "Weight of the mean squared acceleration.", label="Effort weight")
+    q_change: float = live(
+        0.4,
+        "1/m",
+        0.0,
+        1e3,
+        "Weight of the distance from the end to that of the last plan.",
+        label="Weight of a change",
+    )
     height_min: float = live(0.7, "m", -1e4, 1e4, "Lowest height above the ground.")
     height_max: float = live(1e4, "m", -1e4, 1e4, "Greatest height; in a flight by default the top of the world.")
 

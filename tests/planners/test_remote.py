@@ -16,6 +16,8 @@ import pytest
 from small_source import small_source, wait_for
 
 from aero_viz.errors import UserError
+from aero_viz.explain.post_mortem import explain_flight
+from aero_viz.explain.trace import FlightTrace
 from aero_viz.flight import FlightRules, fly
 from aero_viz.planners import load
 from aero_viz.scenes import World
@@ -162,6 +164,10 @@ def test_a_failure_ends_the_flight_with_its_reason_and_not_the_session(
     while frame.outcome is None:
         frame = session.tick()
     assert frame.outcome == "planner_failed" and reason in str(frame.explanation)
+    trace = FlightTrace()
+    trace.write(frame)
+    report, _ = explain_flight(trace)
+    assert report.cause == "the planner failed" and reason in report.sentences[0]
     assert session.tick() is frame, "the flight is over"
     wait_for(lambda: notices)
     session.seek(0.0).result()
