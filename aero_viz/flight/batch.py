@@ -127,7 +127,7 @@ class FlightBatch:
         time_steps = {c.control_step for c in configs}
         if rules.ticks_per_plan > 1 and len(time_steps) > 1:
             raise ValueError(
-                "the configurations differ in the step of the controls; plans flown for several ticks need the same."
+                "the configurations differ in sampling.dt; plans that are flown for several ticks need the same."
             )
         self._phase_step = rules.period / time_steps.pop()
 

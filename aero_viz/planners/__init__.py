@@ -10,17 +10,28 @@ if TYPE_CHECKING:
     from aero_planner.config import DroneConfig
     from aero_viz.planners.observation import Observation
     from aero_viz.planners.plan import CandidatePlan, Plan
-    from aero_viz.planners.planner import Planner
+    from aero_viz.planners.planner import Planner, PlannerError
     from aero_viz.planners.registry import load, make, name_of, names
 
-__all__ = ["CandidatePlan", "DroneConfig", "Observation", "Plan", "Planner", "load", "make", "name_of", "names"]
+__all__ = [
+    "CandidatePlan",
+    "DroneConfig",
+    "Observation",
+    "Plan",
+    "Planner",
+    "PlannerError",
+    "load",
+    "make",
+    "name_of",
+    "names",
+]
 
 __getattr__, __dir__ = lazy_exports(
     __name__,
     {
         "observation": ("DroneConfig", "Observation"),
         "plan": ("CandidatePlan", "Plan"),
-        "planner": ("Planner",),
+        "planner": ("Planner", "PlannerError"),
         "registry": ("load", "make", "name_of", "names"),
     },
 )
