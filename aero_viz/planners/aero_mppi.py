@@ -47,6 +47,7 @@ class AeroMppi(Planner):
         self.core.restore(history) if isinstance(history, History) else self.core.reset()
 
     def reset(self, *, seed: int | None = None) -> None:
+        super().reset(seed=seed)
         self.core.reset(seed=seed)
 
     def judge(self, plan: AnyPlan) -> NDArray[np.bool_]:

@@ -29,8 +29,8 @@ VERSION = 1
 _HEAD = struct.Struct("<II")
 """Bytes of the JSON text of a message, and of the float32 numbers after it."""
 _TEXT_MAX, _BODY_MAX = 1 << 22, 1 << 26
-_CONNECT_TIMEOUT, _PLAN_TIMEOUT = 5.0, 5.0
-"""Longest wait for an answer [s]. A process that takes longer counts as hung."""
+_CONNECT_TIMEOUT = 5.0
+"""Longest wait for a connection, and for the answer to hello [s]."""
 _PARAMETERS_MAX = 200
 
 
@@ -98,6 +98,8 @@ class _RemotePlanner(Planner):
     """A planner in another process. It holds no state: the other process gets back the history that it has sent."""
 
     address: ClassVar[str]
+    timeout: ClassVar[float] = 5.0
+    """Longest wait for a plan [s]. A process that takes longer counts as hung."""
 
     def __init__(self, config: DroneConfig | None = None, *, device: str = "cpu", seed: int = 0) -> None:
         super().__init__(config, device=device, seed=seed)
@@ -127,7 +129,7 @@ class _RemotePlanner(Planner):
         try:
             if self._connection is None:
                 self._connection = _Connection(self.address)
-            reply, body = self._connection.ask(request, points, timeout=_PLAN_TIMEOUT)
+            reply, body = self._connection.ask(request, points, timeout=self.timeout)
             plan = _plan(reply, body, 1e3 * (time.perf_counter() - started))
         except (PlannerError, KeyError, TypeError, ValueError, OverflowError) as error:
             self.close()  # the next plan begins with a new connection

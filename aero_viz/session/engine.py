@@ -52,7 +52,8 @@ class Engine:
         self._configs = configs
         self._config = configs.current[0]
         self._planner = make(self._config, device=device, seed=seed)
-        self._device, self.seed = device, seed
+        self._device = device
+        self.seed = seed
         """Seed of the planner's noise."""
         self._publish_frame = publish
         self._timeline = Timeline()

@@ -33,6 +33,8 @@ def plan(request):
     count = (request.history or 0) + 1
     if count == 8 and sys.argv[3] == "raise":
         raise RuntimeError("out of ideas")
+    if count == 8 and sys.argv[3] == "hang":
+        time.sleep(60.0)
     if count == 8 and sys.argv[3] == "crash":
         os._exit(3)
     assert len(request.points) % 3 == 0 and request.config["vehicle.speed_limit"] > 0
@@ -147,15 +149,22 @@ def test_a_planner_in_another_process_flies_and_its_parameters_are_known(start: 
 
 
 @pytest.mark.parametrize(
-    ("fault", "reason"), [("raise", "RuntimeError: out of ideas"), ("crash", "closed the connection")]
+    ("fault", "reason"),
+    [
+        ("raise", "RuntimeError: out of ideas"),
+        ("crash", "closed the connection"),
+        ("hang", "it did not answer within 0.5 s"),
+    ],
 )
 def test_a_failure_ends_the_flight_with_its_reason_and_not_the_session(
     start: Callable[..., str], world: World, fault: str, reason: str
 ):
-    config = load(start(fault)).Config()
+    kind = load(start(fault))
+    kind.timeout = 0.5 if fault == "hang" else 60.0  # type: ignore[attr-defined]
+    config = kind.Config()
     result = fly(world, config=config)
     assert not result.arrived and result.reason == "planner_failed" and reason in str(result.explanation)
-    if fault == "crash":
+    if fault != "raise":
         return
     session = Session(small_source(), config=config)
     notices: list[str] = []
