@@ -95,7 +95,7 @@ class CandidatePlan:
         positions: paths, the start included [m], shape [M, N+1, 3], world frame.
         costs: terms of the cost by label, each of shape [M].
         best: number of the candidate to fly.
-        step: time step of the paths [s].
+        step: time step of the paths and of the controls [s].
         status: safety of the choice.
         controls: what to fly, shape [n, 4], for `model`; None is the acceleration along the chosen path, without a
             change of the yaw.
@@ -134,6 +134,8 @@ class CandidatePlan:
         if not (np.isfinite(self.step) and self.step > 0.0):
             raise ValueError(f"step is {self.step}; it must be a positive time [s].")
         controls = self._along(positions[int(self.best)]) if self.controls is None else self.controls
+        if len(controls) < 1:
+            raise ValueError("controls are empty; give one at least, or None.")
         clearance = np.full((M, N), np.nan) if self.clearance is None else self.clearance
         own = {
             "positions": positions,

@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import functools
 import json
+import keyword
 import math
 import socket
 import struct
@@ -59,7 +60,7 @@ def _planner_type(address: str, hello: dict[str, Any]) -> type[Planner]:
     if len(described) > _PARAMETERS_MAX:
         raise ValueError(f"it has {len(described)} parameters; {_PARAMETERS_MAX} are the most.")
     fields = [(str(one["name"]), float, _parameter(one)) for one in described]
-    if wrong := [name for name, *_ in fields if not name.isidentifier()]:
+    if wrong := [name for name, *_ in fields if not _is_usable(name)]:
         raise ValueError(f"{wrong[0]!r} is not a name for a parameter.")
     section = _section(fields)
     config: Any = dataclasses.make_dataclass(
@@ -82,8 +83,15 @@ def _section(fields: list[tuple[str, Any, Any]]) -> Any:
     return dataclasses.dataclass(frozen=True)(Parameters)
 
 
+def _is_usable(name: str) -> bool:
+    is_taken = name.startswith("_") or keyword.iskeyword(name) or hasattr(ParameterSection, name)
+    return name.isidentifier() and not is_taken
+
+
 def _parameter(one: dict[str, Any]) -> Any:
     default, low, high = (float(one[key]) for key in ("default", "low", "high"))
+    if not low <= default <= high or not math.isfinite(high - low):
+        raise ValueError(f"the parameter {one['name']!r} is {default:g} in [{low:g}, {high:g}].")
     return live(default, str(one.get("unit", "")), low, high, str(one.get("help", "A parameter.")), basic=True)
 
 

@@ -42,6 +42,7 @@ def test_a_minimal_plan_says_what_it_lacks():
         ({"best": 2}, r"best is 2; it must be in \[0, 1\]"),
         ({"step": 0.0}, "step is 0.0; it must be a positive time"),
         ({"controls": [[1.0, 2.0]]}, r"controls has the shape \(1, 2\); it must be \(any, 4\)"),
+        ({"controls": np.zeros((0, 4))}, "controls are empty"),
         ({"kinds": ("one",)}, "must have one entry for each of the 2 candidates"),
         ({"status": 7}, "7 is not a valid PlanStatus"),
     ],

@@ -184,9 +184,9 @@ def test_a_failure_ends_the_flight_with_its_reason_and_not_the_session(
     session.close()
 
 
-def answers(listener: socket.socket, after_hello: bytes) -> None:
+def answers(listener: socket.socket, after_hello: bytes, parameters: list[dict[str, object]]) -> None:
     """Say hello to each connection, and send `after_hello` in place of a plan."""
-    hello = json.dumps({"type": "hello", "version": 1, "name": "bad", "parameters": []}).encode()
+    hello = json.dumps({"type": "hello", "version": 1, "name": "bad", "parameters": parameters}).encode()
     while True:
         try:
             connection, _ = listener.accept()
@@ -226,10 +226,28 @@ def message(header: object, numbers: bytes = b"") -> bytes:
 )
 def test_garbage_is_refused_in_one_sentence(garbage: bytes, reason: str):
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        threading.Thread(target=answers, args=(listener, garbage), daemon=True).start()
+        threading.Thread(target=answers, args=(listener, garbage, []), daemon=True).start()
         config = load(f"connect:127.0.0.1:{listener.getsockname()[1]}").Config()
         with pytest.raises(UserError, match=reason):
             Session(small_source(), config=config).tick()
+        listener.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "reason"),
+    [
+        ({"name": "class", "default": 1, "low": 0, "high": 2}, "'class' is not a name for a parameter"),
+        ({"name": "parameters", "default": 1, "low": 0, "high": 2}, "'parameters' is not a name for a parameter"),
+        ({"name": "reach", "default": 3, "low": 0, "high": 2}, r"the parameter 'reach' is 3 in \[0, 2\]"),
+        ({"name": "reach", "default": 3, "low": 0, "high": 1e400}, "Infinity is not a number of JSON"),
+        ({"name": "reach"}, "KeyError|'default'"),
+    ],
+)
+def test_parameters_that_cannot_be_used_are_refused(parameter: dict[str, object], reason: str):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=answers, args=(listener, b"", [parameter]), daemon=True).start()
+        with pytest.raises(UserError, match=f"No planner can be used at .*{reason}"):
+            load(f"connect:127.0.0.1:{listener.getsockname()[1]}")
         listener.shutdown(socket.SHUT_RDWR)
 
 
