@@ -59,7 +59,7 @@ class FlightSource:
         vehicle: model of the drone; None is the default vehicle. It takes commands as the plans have them.
         rules: when the flight ends. A tick of the source is the time of one plan, `ticks_per_plan` ticks of the rules.
         noise: errors of the state estimate; None gives the planner the true state.
-        control_step: time step of the controls of AERO-MPPI's plans [s]; controls are interpolated if a plan is flown for
+        control_step: time step of the controls of AERO-MPPI's plans [s]; they are interpolated if a plan is flown for
             several ticks.
         seed: seed of the LiDAR pattern and all noise. Same seed, device and plans: same flight, bit for bit.
         device: Warp device.
