@@ -72,10 +72,6 @@ class PrimitiveConfig(DroneConfig):
     vehicle: VehicleConfig = field(default_factory=lambda: VehicleConfig(model="acceleration", speed_limit=4.0))
     paths: PrimitiveSection = field(default_factory=PrimitiveSection)
 
-    @property
-    def control_step(self) -> float:
-        return _STEP
-
 
 class Primitives(Planner):
     """Chooses one of a fan of quintics."""

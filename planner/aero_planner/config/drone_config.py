@@ -28,7 +28,7 @@ class DroneConfig(SectionedConfig):
 
     @property
     def control_step(self) -> float:
-        """Time step of the controls in a plan [s]."""
+        """Time step of the controls in a plan that does not give its own [s]."""
         return 0.05
 
     @property
