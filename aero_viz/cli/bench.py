@@ -57,9 +57,9 @@ class RunFlags:
     json: bool = False
     """Print one JSON object."""
     flight: Inline[FlightFlags] = dataclasses.field(default_factory=FlightFlags)
-    config: Inline[ConfigFlags] = dataclasses.field(default_factory=ConfigFlags)
 
 
+_CONFIG = ConfigFlags()
 _RUN = RunFlags()
 
 
@@ -71,6 +71,7 @@ def bench(
     flights: int = 50,
     include: tuple[str, ...] = (),
     run_flags: Inline[RunFlags] = _RUN,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly a benchmark and write its tables, plots and report.
 
@@ -84,6 +85,7 @@ def bench(
         flights: Number of worlds per row. A row of scaling has as many flights as its batch, in these worlds.
         include: Flights of other planners, each NAME=TABLE.csv (from `score --table`) or NAME=FLIGHT@WORLD.json.
         run_flags: The run.
+        config_flags: The planner and its configuration.
     """
     from aero_viz.evaluation.bench.external_results import load_external_results
     from aero_viz.evaluation.bench.suites import BENCHMARKS
@@ -91,7 +93,7 @@ def bench(
     benchmark = BENCHMARKS[name]
     first = run_flags.seed + benchmark.first_seed
     external = load_external_results(include, benchmark, seeds=range(first, first + flights))
-    _run(benchmark, run_flags, flights=flights, external=external)
+    _run(benchmark, run_flags, config_flags, flights=flights, external=external)
 
 
 def bench_worlds(
@@ -103,6 +105,7 @@ def bench_worlds(
     goal: OptionalPoint = None,
     voxel: OptionalFloat = None,
     run_flags: Inline[RunFlags] = _RUN,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly through all worlds in a folder and write a report.
 
@@ -118,16 +121,24 @@ def bench_worlds(
         goal: Goal position x y z [m] in all worlds.
         voxel: Voxel size for point-cloud maps, and pixel size for images [m].
         run_flags: The run.
+        config_flags: The planner and its configuration.
     """
     from aero_viz.evaluation.bench.world_folder import folder_benchmark
 
     if run_flags.output is not None and run_flags.output.resolve() == folder.resolve():
         raise UserError(f"{folder} is the folder of the worlds, which a report could replace; choose another --output.")
     benchmark = folder_benchmark(folder, speed=speed, start=start, goal=goal, voxel=voxel)
-    _run(benchmark, run_flags, flights=flights, external=())
+    _run(benchmark, run_flags, config_flags, flights=flights, external=())
 
 
-def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Sequence[ExternalResults]) -> None:
+def _run(
+    benchmark: Benchmark,
+    flags: RunFlags,
+    config_flags: ConfigFlags,
+    *,
+    flights: int,
+    external: Sequence[ExternalResults],
+) -> None:
     """Fly a benchmark, write its report and print the summary."""
     from aero_viz.evaluation.bench.causes import cause_rows
     from aero_viz.evaluation.bench.difficulty_groups import format_groups
@@ -142,7 +153,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
     from aero_viz.evaluation.bench.success_matrix import format_matrix
     from aero_viz.evaluation.executor import open_executor
 
-    folder, config = flags.output or Path("results") / benchmark.name, flags.config.load()
+    folder, config = flags.output or Path("results") / benchmark.name, config_flags.load()
     executor, interrupted = open_executor(flags.ray, device=flags.device), False
     try:
         with progress_bar() as update_bar:
@@ -152,7 +163,7 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
                 flights=flights,
                 seed=flags.seed,
                 config=config,
-                config_name=flags.config.name_of(config),
+                config_name=config_flags.name_of(config),
                 device=flags.device,
                 lidar=flags.lidar,
                 batch=flags.batch,
@@ -204,20 +215,24 @@ def _run(benchmark: Benchmark, flags: RunFlags, *, flights: int, external: Seque
 
 def bench_compare(
     a: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="A")]],
-    b: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="B")]],
+    b: tyro.conf.Positional[Annotated[tuple[Path, ...], tyro.conf.arg(metavar="B")]],
     *,
     json: bool = False,
 ) -> None:
-    """Compare two runs of a benchmark through the same worlds.
+    """Compare runs of a benchmark through the same worlds.
 
-    A sign test over the worlds says whether the difference is significant. The runs may differ in the configuration and
-    in the versions of the packages. Fly each with its own --output.
+    Two runs are compared world by world, and more than two, such as those of several planners, side by side. A sign
+    test over the worlds says whether a difference is significant. The runs may differ in the planner, the configuration
+    and the versions of the packages. Fly each with its own --output.
 
     Args:
         a: Folder of the results of the first run.
-        b: Folder of the results of the second run.
+        b: Folder of the results of the second run, and of further ones.
         json: Print one JSON object.
     """
     from aero_viz.evaluation.bench.comparison import compare_runs
+    from aero_viz.evaluation.bench.side_by_side import compare_side_by_side
 
-    print_report(compare_runs(a, b), as_json=json)
+    if not b:
+        raise UserError("There is one run only; give the folders of two or more.")
+    print_report(compare_runs(a, b[0]) if len(b) == 1 else compare_side_by_side((a, *b)), as_json=json)

@@ -46,7 +46,7 @@ COMMANDS: dict[str, Command] = {
         "Fly a benchmark and write its tables, plots and report.",
         needs="aero_viz.evaluation.bench.runner",
     ),
-    "bench compare": _command("bench", "bench_compare", "Compare two runs of a benchmark through the same worlds."),
+    "bench compare": _command("bench", "bench_compare", "Compare runs of a benchmark through the same worlds."),
     "bench worlds": _command(
         "bench",
         "bench_worlds",

@@ -10,6 +10,7 @@ import sys
 from aero_planner.check_report import Check, CheckReport
 from aero_viz.browser import find_chromium
 from aero_viz.errors import UserError
+from aero_viz.planners.registry import SHIPPED, load, names
 
 _PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "rosbags", "mcap", "trimesh", "tyro")
 
@@ -24,6 +25,7 @@ def examine() -> CheckReport:
         *_check_devices(),
         _check_package("playwright", needed_for="snapshots and browser tests"),
         _check_browser(),
+        *map(_check_planner, names()),
     ]
     return CheckReport(
         tuple(checks), "Everything required is installed.", "Something required is missing; see FAIL above."
@@ -68,6 +70,16 @@ def _check_device(device: str) -> Check:
         advice = "Delete Warp's kernel cache (python -c 'import warp; warp.clear_kernel_cache()') or update the driver."
         return Check(name, f"cannot plan: {error}", ok=False, required=device == "cpu", advice=advice)
     return Check(name, f"{wp.get_device(device).name}: plans in {plan.stage_ms['total']:.1f} ms")
+
+
+def _check_planner(name: str) -> Check:
+    """Check that a planner can be imported; one that was brought is not required."""
+    try:
+        planner = load(name)
+        return Check(f"planner {name}", f"{len(planner.parameters())} parameters, {planner.__module__}")
+    except UserError as error:
+        advice = "Reinstall or remove the package that brings it."
+        return Check(f"planner {name}", str(error), ok=False, required=name in SHIPPED, advice=advice)
 
 
 def _check_browser() -> Check:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
@@ -10,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 import tyro
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo
+from aero_planner.config import DroneConfig, ParameterInfo
 from aero_planner.config.file import config_from_name
 from aero_viz.catalog import is_bag, is_map, load_world
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
+from aero_viz.planners.registry import config_type
 from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.scenes.map_files import has_voxels
@@ -34,6 +36,8 @@ OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT"
 LidarName = Literal["mid360", "full-sphere", "spinning64"]
 """A name in `LIDARS`."""
 Point = tuple[float, float, float]
+AERO_MPPI = PlannerConfig.planner
+"""Name of the planner without --planner."""
 
 
 def _optional(metavar: str) -> Any:
@@ -51,6 +55,7 @@ OptionalPose = Annotated[tuple[float, float, float, float, float, float] | None,
 OptionalText = Annotated[str | None, _optional("STR")]
 FoxgloveFlag = Annotated[tuple[int, ...] | None, _optional("[PORT]")]
 """None if the flag is absent, () if it has no port."""
+PlannerName = Annotated[str, tyro.conf.arg(metavar="NAME|MODULE:CLASS")]
 RayFlag = Annotated[tuple[str, ...] | None, _optional("[ADDRESS]")]
 """None if the flag is absent, () if it has no address of a cluster."""
 
@@ -88,13 +93,10 @@ def _flags_type(name: str, infos: Iterable[ParameterInfo], description: str) -> 
     return flags_type
 
 
-def _planner_flags_type() -> Any:
-    infos_by_section: dict[str, list[ParameterInfo]] = {}
-    for info in PlannerConfig.parameters():
-        infos_by_section.setdefault(info.section, []).append(info)
+def _planner_flags_type(config: type[DroneConfig]) -> Any:
     fields: list[tuple[str, Any, Any]] = []
-    for name, infos in infos_by_section.items():
-        section = _flags_type(name.capitalize(), infos, f"Planner parameters: {name}.")
+    for name, parameters in config.sections().items():
+        section = _flags_type(name.capitalize(), parameters.parameters(), f"Planner parameters: {name}.")
         fields.append((name, section, dataclasses.field(default_factory=section)))
     flags_type = dataclasses.make_dataclass("PlannerFlags", fields, frozen=True)
     flags_type.__doc__ = "Planner parameters. Each flag overrides the value of --config."
@@ -106,7 +108,7 @@ def _set_values(flags: Any) -> dict[str, Any]:
     return {name: value for name, value in vars(flags).items() if value is not None}
 
 
-PlannerFlags: Any = _planner_flags_type()
+PlannerFlags: Any = _planner_flags_type(PlannerConfig)
 LidarFlags: Any = _flags_type(
     "LidarFlags", LidarModel.parameters(), "The LiDAR. Each flag overrides a value of the --lidar model."
 )
@@ -130,13 +132,15 @@ def flight_rules(flags: Any) -> FlightRules:
 
 @dataclasses.dataclass(frozen=True)
 class ConfigFlags:
-    """The planner's configuration."""
+    """The planner and its configuration."""
 
+    planner: PlannerName = AERO_MPPI
+    """Planner: a name that `aero-viz doctor` lists, or module:Class of your own."""
     config: str = "default"
     """Preset (default, paper, ..) or YAML file."""
-    planner: Inline[PlannerFlags] = dataclasses.field(default_factory=PlannerFlags)
+    values: Inline[PlannerFlags] = dataclasses.field(default_factory=PlannerFlags)
 
-    def load(self, *, speed: float | None = None) -> PlannerConfig:
+    def load(self, *, speed: float | None = None) -> DroneConfig:
         """Return the configuration that the flags describe.
 
         Args:
@@ -147,19 +151,39 @@ class ConfigFlags:
         """
         changes = {
             f"{section}.{name}": value
-            for section, flags in vars(self.planner).items()
+            for section, flags in vars(self.values).items()
             for name, value in _set_values(flags).items()
         }
         if speed is not None:
             changes["vehicle.speed_limit"] = speed
         try:
-            return config_from_name(self.config).replace(changes)
+            return config_from_name(self.config, config_type(self.planner)).replace(changes)
         except (ValueError, OSError) as error:
             raise UserError(str(error)) from error
 
-    def name_of(self, config: PlannerConfig) -> str:
-        """Return the name of a configuration that the flags describe: that of --config, and whether it was changed."""
-        return self.config if config == config_from_name(self.config) else f"{self.config}, changed"
+    def name_of(self, config: DroneConfig) -> str:
+        """Return the name of a configuration that the flags describe: that of --config, and whether it was changed.
+
+        A planner other than AERO-MPPI comes first.
+        """
+        name = self.config if self.planner == AERO_MPPI else f"{self.planner} {self.config}"
+        return name if config == config_from_name(self.config, type(config)) else f"{name}, changed"
+
+
+@functools.cache
+def config_flags_type(planner: str) -> type[ConfigFlags]:
+    """Return the flags of a planner: `ConfigFlags` with those of its own parameters.
+
+    Raises:
+        UserError: there is no such planner.
+    """
+    if planner == AERO_MPPI:
+        return ConfigFlags
+    values = _planner_flags_type(config_type(planner))
+    fields = [("values", Inline[values], dataclasses.field(default_factory=values))]
+    flags_type: Any = dataclasses.make_dataclass("ConfigFlags", fields, bases=(ConfigFlags,), frozen=True)
+    flags_type.__doc__, flags_type.__module__ = ConfigFlags.__doc__, __name__
+    return flags_type
 
 
 @dataclasses.dataclass(frozen=True)
@@ -186,7 +210,7 @@ class FlightFlags:
         values = _set_values(self.noise)
         return StateNoise(**values) if values else None
 
-    def options(self, config: PlannerConfig, *, lidar: str) -> dict[str, Any]:
+    def options(self, config: DroneConfig, *, lidar: str) -> dict[str, Any]:
         """Return the arguments lidar, vehicle, rules and noise of a flight.
 
         Args:

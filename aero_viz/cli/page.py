@@ -38,7 +38,7 @@ from aero_viz.errors import UserError
 from aero_viz.reader_process import read_here
 
 if TYPE_CHECKING:
-    from aero_planner import PlannerConfig
+    from aero_planner.config import DroneConfig
     from aero_viz.reader_process import Reader
     from aero_viz.session import Session
     from aero_viz.session.source import Conditions, Opener, Source
@@ -195,7 +195,7 @@ def serve_flight(
     spec: str,
     world_flags: WorldFlags,
     flight_flags: FlightFlags,
-    config: PlannerConfig,
+    config: DroneConfig,
     page_flags: PageFlags,
     *,
     lidar: str,
@@ -214,7 +214,7 @@ def serve_flight(
 
 
 def flight_opener(
-    spec: str, world_flags: WorldFlags, flight_flags: FlightFlags, config: PlannerConfig, *, lidar: str, device: str
+    spec: str, world_flags: WorldFlags, flight_flags: FlightFlags, config: DroneConfig, *, lidar: str, device: str
 ) -> Opener:
     """Return a function that opens sources by name.
 
@@ -239,7 +239,7 @@ def flight_opener(
             flags, chosen = dataclasses.replace(flags, count=conditions.count), with_conditions(options, conditions)
         world = load(flags.load, name, seed=seed)
         refuse_impossible(world, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
-        return FlightSource(world, seed=seed, device=device, control_step=config.sampling.dt, **chosen)
+        return FlightSource(world, seed=seed, device=device, control_step=config.control_step, **chosen)
 
     return opener
 
@@ -252,7 +252,7 @@ def _is_same(first: str, second: str) -> bool:
 def serve(
     spec: str,
     opener: Opener,
-    config: PlannerConfig,
+    config: DroneConfig,
     page_flags: PageFlags,
     *,
     seed: int,
@@ -321,7 +321,7 @@ def serve(
 
 
 def _open_session(
-    stack: contextlib.ExitStack, source: Source, config: PlannerConfig, *, device: str, seed: int, log: OptionalPath
+    stack: contextlib.ExitStack, source: Source, config: DroneConfig, *, device: str, seed: int, log: OptionalPath
 ) -> Session:
     """Open a session, and its log if there is one; the stack closes both."""
     from aero_viz.flight.known_drone import config_for_flight

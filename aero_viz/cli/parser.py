@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import inspect
 import io
+import itertools
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -59,7 +61,8 @@ def parse(
 
             command = commands[name]
             with _value_rules(), _one_sentence(f"{prog} {name}"):
-                call = tyro.cli(_deferred(command.load()), prog=f"{prog} {name}", args=arguments[words:])
+                function = _with_flags_of_planner(command.load(), arguments[words:])
+                call = tyro.cli(_deferred(function), prog=f"{prog} {name}", args=arguments[words:])
             if command.needs:
                 importlib.import_module(command.needs)
             return call
@@ -76,6 +79,35 @@ def parse(
     given = " ".join(arguments[: 2 if is_group else 1])
     mistake = f"there is no command {given!r}{did_you_mean(given, commands)}" if given else "a command is missing"
     raise UserError(f"{mistake}; give one of {', '.join(commands)}, or --help.")
+
+
+def _with_flags_of_planner(function: Callable[..., None], arguments: Sequence[str]) -> Callable[..., None]:
+    """Return a command with the flags of the planner that --planner names, in place of those of AERO-MPPI.
+
+    Raises:
+        UserError: there is no such planner.
+    """
+    if "config_flags" not in function.__annotations__:
+        return function
+    named = [value for flag, value in itertools.pairwise(arguments) if flag == "--planner"]
+    named += [flag.removeprefix("--planner=") for flag in arguments if flag.startswith("--planner=")]
+    if not named:
+        return function
+    from aero_viz.cli.flags import Inline, config_flags_type
+
+    flags = config_flags_type(named[-1])
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> None:
+        function(*args, **kwargs)
+
+    signature = inspect.signature(function)
+    default = signature.parameters["config_flags"].replace(default=flags())
+    call.__annotations__ = {**function.__annotations__, "config_flags": Inline[flags]}
+    call.__dict__["__signature__"] = signature.replace(
+        parameters=list({**signature.parameters, "config_flags": default}.values())
+    )
+    return call
 
 
 @contextlib.contextmanager

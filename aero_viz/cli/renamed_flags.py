@@ -12,6 +12,8 @@ def replace_renamed_flags(arguments: Sequence[str]) -> list[str]:
 
     A notice is logged for each of them. Flags of removed parameters are left out with their values.
     """
+    if any(argument.startswith("--planner") for argument in arguments):
+        return list(arguments)  # names of another planner's parameters
     result: list[str] = []
     remaining = iter(arguments)
     for argument in remaining:

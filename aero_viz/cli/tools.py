@@ -8,9 +8,19 @@ import tyro
 
 from aero_planner.output_files import check_output_files
 from aero_planner.plain_text import say
-from aero_viz.cli.flags import ConfigFlags, Inline, OptionalText, OutputPath, WorldFlags, WorldName
+from aero_viz.cli.flags import (
+    AERO_MPPI,
+    ConfigFlags,
+    Inline,
+    OptionalText,
+    OutputPath,
+    PlannerName,
+    WorldFlags,
+    WorldName,
+)
 from aero_viz.cli.output import print_report
 from aero_viz.errors import UserError
+from aero_viz.planners.registry import config_type
 
 _CONFIG = ConfigFlags()
 _WORLD = WorldFlags()
@@ -163,14 +173,17 @@ def export(
     say(summary)
 
 
-def parameters() -> None:
+def parameters(*, planner: PlannerName = AERO_MPPI) -> None:
     """Print a Markdown table of every planner parameter.
 
     The table has symbol, default, range, unit and meaning.
+
+    Args:
+        planner: Planner, as for `fly`.
     """
     from aero_planner.config.docs import format_parameters
 
-    say(format_parameters())
+    say(format_parameters(config_type(planner)))
 
 
 def doctor(*, json: bool = False) -> None:

@@ -9,11 +9,11 @@ from aero_planner.plain_text import say
 from aero_viz.cli.serving import PageFlags, announce, serve_foxglove, shutdown_event
 
 if TYPE_CHECKING:
-    from aero_planner import PlannerConfig
+    from aero_planner.config import DroneConfig
     from aero_viz.session.source import Opener
 
 
-def serve_tour(opener: Opener, config: PlannerConfig, page_flags: PageFlags, *, seed: int, device: str) -> None:
+def serve_tour(opener: Opener, config: DroneConfig, page_flags: PageFlags, *, seed: int, device: str) -> None:
     """Show the scenes of the tour until Ctrl-C or SIGTERM.
 
     Args:

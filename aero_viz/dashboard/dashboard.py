@@ -199,7 +199,7 @@ class Dashboard:
         for layer in self.layers.values():
             if layer.visible:
                 layer.eyes, layer.history = eyes, self.history
-                changes += layer.update(frame)
+            changes += layer.show(frame)
         now = time.monotonic()
         self._panels_outdated = now < self._panels_due
         if not self._panels_outdated:

@@ -51,7 +51,7 @@ def show_first_picture(session: BaseSession, server: LocalServer, *, is_over: Ca
     ]
     for layer in layers:
         layer.eyes = [eye]
-        changes += layer.update(frame)
+        changes += layer.show(frame)
     with server.atomic():
         apply(changes)
     server.flush()

@@ -11,18 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig, PlanStatus
+from aero_planner.config import DroneConfig
 from aero_viz.logs.flight_figures import CLEARANCE_MAX
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.config_history import DRAG_INTERVAL
 from aero_viz.session.frame import Frame
 
 COLUMNS = (
-    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "plan_ms", "safe", "clear", "unsafe",
-    "samples", "best", "x", "y", "z",
+    "time", "speed", "clearance", "cost", "goal_cost", "collision_cost", "third_cost", "fourth_cost", "plan_ms", "safe",
+    "clear", "unsafe", "samples", "best", "x", "y", "z",
 )  # fmt: skip
-"""Columns of the rows: [s], [m/s], [m], S2 of the chosen instance and two of its terms, [ms], number of safe
+"""Columns of the rows: [s], [m/s], [m], cost of the chosen candidate and up to four of its terms, [ms], number of safe
 candidates, number of those with the safe clearance, 1 if no candidate was safe and 0 otherwise, effective number of
 samples of the chosen instance, number of that instance, position [m]. NaN where nothing is known."""
+_TERMS = 4
+"""Number of terms of the cost that have a column."""
 _SOLIDS_MAX = 3000
 """Largest number of solids for which the exact clearance is computed at every tick."""
 _SAME = 1e-4
@@ -62,7 +66,7 @@ class Past:
     differs_at: float | None
     """First time at which the flight differs from the ghost [s]; None as long as it does not. In a recording, whose
     motion is given, another instance is chosen."""
-    pinned: PlannerConfig | None
+    pinned: DroneConfig | None
     """Configuration A; None while nothing is compared."""
     alternative: Frame | None
     """Newest plan of configuration A, which may be that of another tick; see `alternative_to`."""
@@ -78,7 +82,7 @@ class FlightHistory:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._pinned: PlannerConfig | None = None
+        self._pinned: DroneConfig | None = None
         self._alternative: Frame | None = None
         self._ghost_name = "before"
         self._clear()
@@ -150,7 +154,7 @@ class FlightHistory:
         self._events += events
 
     def _clear(self) -> None:
-        self._configs_before: dict[float, PlannerConfig] = {}
+        self._configs_before: dict[float, DroneConfig] = {}
         """Configuration before the changes at a tick, by its time [s]."""
         self._drag: tuple[frozenset[str], float, float] = frozenset(), -np.inf, 0.0
         """Paths of the parameters that have changed last, when that was [s], and the source time of its event [s]."""
@@ -224,7 +228,8 @@ def drone_clearance(frame: Frame) -> float:
     if world is not None and is_clearance_true(frame):
         distance = float(world.distance(position[None])[0])
     else:
-        points = frame.plan.filtered_points
+        plan = ensemble(frame.plan)
+        points = frame.observation.points if plan is None else plan.filtered_points
         distance = float(np.linalg.norm(points - position, axis=1).min(initial=np.inf))
     return float(np.clip(distance, 0.0, CLEARANCE_MAX))
 
@@ -238,26 +243,30 @@ def effective_samples(plan: Plan, instance: int, temperature: float) -> float:
 
 def _row(frame: Frame) -> Rows:
     plan, best, state = frame.plan, int(frame.plan.best), frame.observation.actual_state
+    terms = [float(cost[best]) for cost in plan.costs.values()] + [np.nan] * _TERMS
+    full, config, clear, effective = ensemble(plan), frame.config, np.nan, np.nan
+    if full is not None and isinstance(config, PlannerConfig):
+        clear = np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance)
+        effective = effective_samples(full, best, config.sampling.temperature)
     return np.array(
         (
             frame.time,
             np.linalg.norm(np.asarray(state.velocity)),
             drone_clearance(frame),
-            plan.stage2_cost[best],
-            plan.goal_cost[best],
-            plan.collision_cost[best],
+            plan.cost[best],
+            *terms[:_TERMS],
             frame.timings_ms.get("plan", 0.0),
             np.nan if frame.is_safe is None else np.count_nonzero(frame.is_safe),
-            np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance),
+            clear,
             plan.status == PlanStatus.NO_SAFE_CANDIDATE,
-            effective_samples(plan, best, frame.config.sampling.temperature),
+            effective,
             best,
             *np.asarray(state.position, dtype=np.float64),
         )
     )
 
 
-def change_text(before: PlannerConfig, now: PlannerConfig, *, most: int = 4) -> str:
+def change_text(before: DroneConfig, now: DroneConfig, *, most: int = 4) -> str:
     """Return the parameters that differ, with titles and units as in the tab Tune; empty if none does.
 
     Args:
@@ -266,7 +275,7 @@ def change_text(before: PlannerConfig, now: PlannerConfig, *, most: int = 4) -> 
         most: largest number of parameters to name.
     """
     changes = [
-        f"{PlannerConfig.find(path).title}: {_rounded(old)} → {_rounded(new)}"
+        f"{now.find(path).title}: {_rounded(old)} → {_rounded(new)}"
         for path, (old, new) in before.differences(now).items()
     ]
     more = [f"{len(changes) - most} more parameters"] if len(changes) > most else []

@@ -10,12 +10,13 @@ from typing import Any
 from urllib.parse import parse_qsl, urlencode
 
 from aero_planner import PlannerConfig
-from aero_planner.config import ParameterInfo, did_you_mean
+from aero_planner.config import DroneConfig, ParameterInfo, did_you_mean
 from aero_viz.flight.conditions import OFFERED
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.planners.registry import name_of
 from aero_viz.sensors.models import LIDARS
 from aero_viz.session.source import Conditions, SourceInfo
 
@@ -35,7 +36,7 @@ class Opening:
     conditions: Conditions | None = None
     """Conditions of a flight; None are those of the program's flags."""
 
-    def command(self, source: SourceInfo, config: PlannerConfig) -> str:
+    def command(self, source: SourceInfo, config: DroneConfig) -> str:
         """Return the command that shows the same flight or recording.
 
         Args:
@@ -61,11 +62,10 @@ class Link:
     """Parameters that differ from the default, by path."""
 
     @classmethod
-    def to_moment(cls, opening: Opening, time: float, config: PlannerConfig) -> Link:
+    def to_moment(cls, opening: Opening, time: float, config: DroneConfig) -> Link:
         """Return the link to a moment under a configuration."""
-        default = PlannerConfig()
-        values = {info.path: config.get(info.path) for info in PlannerConfig.parameters()}
-        return cls(opening, time, {path: value for path, value in values.items() if value != default.get(path)})
+        changes = type(config)().differences(config)
+        return cls(opening, time, {path: value for path, (_, value) in changes.items()})
 
     @property
     def query(self) -> str:
@@ -80,8 +80,8 @@ class Link:
         return "?" + urlencode({**entries, **self.config}, safe="/")
 
     @classmethod
-    def parse(cls, query: str) -> Link | None:
-        """Return the link in the query of an address; None if there is none.
+    def parse(cls, query: str, kind: type[DroneConfig] = PlannerConfig) -> Link | None:
+        """Return the link in the query of an address, for configurations of `kind`; None if there is none.
 
         Raises:
             ValueError: an entry is unknown or its value cannot be used; names it.
@@ -94,26 +94,26 @@ class Link:
         time = _number(entries, "time", 0.0)
         count = _number(entries, "count", 0) if "count" in entries else None
         lidar = entries.pop("lidar", None)
-        parameters = {info.path: info for info in PlannerConfig.parameters()}
+        parameters = {info.path: info for info in kind.parameters()}
         values, config = {}, {}
         for path, text in entries.items():
             if path in conditions:
                 values[path] = conditions[path].check(_value(conditions[path], text))
-            elif (current := PlannerConfig.current_path(path, "The link: ")) in parameters:
+            elif (current := kind.current_path(path, "The link: ")) in parameters:
                 config[current] = _value(parameters[current], text)
             elif current is not None:  # not one that was removed
                 hint = did_you_mean(path, [*conditions, *parameters])
                 raise ValueError(
                     f"The link has an entry {path!r}, which this version does not know{hint}; "
-                    f"{PlannerConfig.listing} lists all parameters."
+                    f"{kind.listing} lists all parameters."
                 )
-        PlannerConfig().replace(config)  # raises for a value out of its bounds
+        kind().replace(config)  # raises for a value out of its bounds
         has_conditions = bool(values) or count is not None or lidar is not None
         opening = Opening(spec, seed, Conditions(count, lidar, values) if has_conditions else None)
         return cls(opening, time, config)
 
 
-def _flight_flags(source: SourceInfo, config: PlannerConfig) -> list[str]:
+def _flight_flags(source: SourceInfo, config: DroneConfig) -> list[str]:
     """Return the flags of the LiDAR, the drone, the noise and the rules that differ from the defaults of `demo`."""
     if "lidar" not in source.settings:  # a source of another program
         return []
@@ -133,11 +133,12 @@ def _flight_flags(source: SourceInfo, config: PlannerConfig) -> list[str]:
     return flags
 
 
-def _config_flags(config: PlannerConfig) -> list[str]:
+def _config_flags(config: DroneConfig) -> list[str]:
     """Return the flags of a configuration: the preset that it differs from least, and the differences."""
-    differences = {name: PlannerConfig.preset(name).differences(config) for name in PlannerConfig.presets()}
+    differences = {name: config.preset(name).differences(config) for name in config.presets()}
     name = min(differences, key=lambda name: (len(differences[name]), name != "default"))
-    flags = [] if name == "default" else ["--config", name]
+    flags = [] if config.planner == PlannerConfig.planner else ["--planner", name_of(config)]
+    flags += [] if name == "default" else ["--config", name]
     return flags + [word for path, (_, value) in differences[name].items() for word in _flag(path, value)]
 
 

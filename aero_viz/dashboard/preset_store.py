@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from aero_planner import PlannerConfig
-from aero_planner.config import did_you_mean
+from aero_planner.config import DroneConfig, did_you_mean
 from aero_planner.config.file import ConfigFile, format_config, format_goal, write_text
 from aero_viz.errors import UserError
+from aero_viz.planners.registry import name_of
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._-]{0,39}(?<![ .])")
 _FILES_MAX = 200
@@ -22,7 +23,7 @@ _FILES_MAX = 200
 class SavedPreset:
     """A preset in a file."""
 
-    config: PlannerConfig
+    config: DroneConfig
     goal: tuple[float, float, float] | None
     """Goal x, y, z [m], world frame; None if none was saved."""
 
@@ -33,12 +34,15 @@ class PresetStore:
     Args:
         folder: folder of the files; None is presets/ in the user's configuration folder of AERO-Viz, by the XDG
             standard ~/.config/aero-viz.
+        kind: class of the configurations; planners other than AERO-MPPI have folders of their own in that folder.
     """
 
-    def __init__(self, folder: str | Path | None = None) -> None:
+    def __init__(self, folder: str | Path | None = None, kind: type[DroneConfig] = PlannerConfig) -> None:
+        self._kind = kind
         home = os.environ.get("XDG_CONFIG_HOME", "")
         default = (Path(home) if os.path.isabs(home) else Path("~/.config").expanduser()) / "aero-viz" / "presets"
-        self.folder = default if folder is None else Path(folder)
+        own = "" if kind.planner == PlannerConfig.planner else re.sub(r"[^A-Za-z0-9_]", "-", name_of(kind))
+        self.folder = (default if folder is None else Path(folder)) / own
 
     def names(self) -> list[str]:
         """Return the names of all presets in alphabetical order, whether they can be read or not."""
@@ -46,7 +50,7 @@ class PresetStore:
             found = [path.stem for path in self.folder.iterdir() if path.suffix == ".yaml"]
         except OSError:  # nothing was saved so far
             return []
-        return sorted(name for name in found if _NAME.fullmatch(name) and name not in PlannerConfig.presets())
+        return sorted(name for name in found if _NAME.fullmatch(name) and name not in self._kind.presets())
 
     def load(self, name: str) -> SavedPreset:
         """Return a preset.
@@ -56,9 +60,9 @@ class PresetStore:
                 line.
         """
         file = ConfigFile.read(self._path(name))
-        return SavedPreset(file.planner_config(), file.goal())
+        return SavedPreset(file.planner_config(self._kind), file.goal())
 
-    def save(self, name: str, config: PlannerConfig, goal: Sequence[float] | None) -> None:
+    def save(self, name: str, config: DroneConfig, goal: Sequence[float] | None) -> None:
         """Write a preset; one of the same name is replaced, as a whole or not at all.
 
         Raises:
@@ -106,7 +110,7 @@ class PresetStore:
         return path
 
     def _path(self, name: str) -> Path:
-        if name in PlannerConfig.presets():
+        if name in self._kind.presets():
             raise UserError(f"{name!r} is the name of a built-in preset; choose another one.")
         if not _NAME.fullmatch(name):
             raise UserError(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.output_files import whole_file
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard, palette
@@ -59,7 +59,7 @@ def snapshot(
     *,
     path: str | Path | None = None,
     time: float = 0.0,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     camera: str | tuple[ArrayLike, ArrayLike] = "follow",
     size: tuple[int, int] = (1280, 800),
     layers: Sequence[str] | None = None,

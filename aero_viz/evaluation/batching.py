@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_planner.warp_init import find_device
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
+from aero_viz.flight.serial import SerialFlights
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
@@ -39,14 +40,20 @@ class FlightOptions:
     def build(
         self,
         worlds: Sequence[World],
-        configs: Sequence[PlannerConfig],
+        configs: Sequence[DroneConfig],
         seeds: Sequence[int],
         *,
         threads: int | None,
         names: Sequence[str] | None = None,
-    ) -> FlightBatch:
-        """Return a batch of flights; see `FlightBatch` for the arguments and errors."""
-        return FlightBatch(worlds, config=configs, seed=seeds, config_names=names, threads=threads, **vars(self))
+    ) -> FlightBatch | SerialFlights:
+        """Return a batch of flights; see `FlightBatch` for the arguments and errors.
+
+        Only AERO-MPPI flies all of them at once; flights of other planners follow one another.
+        """
+        on_device = [config for config in configs if isinstance(config, PlannerConfig)]
+        if len(on_device) == len(configs):
+            return FlightBatch(worlds, config=on_device, seed=seeds, config_names=names, threads=threads, **vars(self))
+        return SerialFlights(worlds, configs=configs, seeds=seeds, names=names, options=dict(vars(self)))
 
 
 def batch_status(label: str, finished: int, flights: int, seconds: float) -> str:

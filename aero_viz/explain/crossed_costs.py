@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from aero_planner import PlannerConfig
 from aero_planner.cost_terms import CostTerms
 from aero_viz.explain.evidence import Replanner
 from aero_viz.session.frame import Frame
@@ -36,8 +37,11 @@ class CrossedCosts:
 
 
 def crossed_costs(replan: Replanner, a: Frame, b: Frame) -> CrossedCosts | None:
-    """Return the costs of the choices of two frames of one tick; None if one cannot be flown by the other's model."""
-    sections = [(frame.config.sampling.steps, frame.config.sampling.dt, frame.config.vehicle.model) for frame in (a, b)]
+    """Return the costs of the choices of two frames of one tick; None if AERO-MPPI has not made both,
+    or if one cannot be flown by the other's model."""
+    if not isinstance(a.config, PlannerConfig) or not isinstance(b.config, PlannerConfig):
+        return None
+    sections = [(config.sampling.steps, config.sampling.dt, config.vehicle.model) for config in (a.config, b.config)]
     if sections[0] != sections[1] or a.checkpoint is None or b.checkpoint is None:
         return None
     commands = np.stack([frame.plan.command for frame in (a, b)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.plan import MovingObstacles
 from aero_planner.stages.moving_obstacles.tracks import GROWTH
 
@@ -26,7 +26,7 @@ class Obstacles:
         self,
         points: NDArray[np.float32],
         ground_height: float | None,
-        config: PlannerConfig,
+        config: DroneConfig,
         moving: MovingObstacles | None = None,
     ) -> None:
         from scipy.spatial import KDTree  # takes 0.1 s to import, which the page need not wait for

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner import PlannerConfig
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.explain.verdict import obstacle_name
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -45,7 +47,11 @@ def pick(frame: Frame, origin: ArrayLike, direction: ArrayLike, *, cells: bool =
     """
     eye, ray, plan = np.asarray(origin, dtype=np.float64), np.asarray(direction, dtype=np.float64), frame.plan
     found: list[tuple[float, Picked]] = []
-    for kind, places in (("anchor", plan.anchors[:, None]), ("rollout", plan.positions), ("guide", plan.guides)):
+    full = ensemble(plan)
+    lines = {"rollout": plan.positions}
+    if full is not None:
+        lines = {"anchor": full.anchors[:, None], **lines, "guide": full.guides}
+    for kind, places in lines.items():
         share = np.linspace(0.0, 1.0, _FINER, endpoint=False)[:, None]
         pieces = places[:, :-1, None] * (1.0 - share) + places[:, 1:, None] * share if places.shape[1] > 1 else places
         angles = _angles(pieces.reshape(len(places), -1, 3).astype(np.float64), eye, ray).min(axis=1)
@@ -73,21 +79,17 @@ def _angles(points: Array, eye: Array, ray: Array) -> Array:
 
 
 def _cell_points(frame: Frame) -> Array:
-    return np.asarray(frame.plan.filtered_points, dtype=np.float64)
+    plan = ensemble(frame.plan)
+    return np.asarray(frame.observation.points if plan is None else plan.filtered_points, dtype=np.float64)
 
 
 def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
     """Return labels and values on a point of the cloud: range, age, sweep, obstacle, and its cells."""
-    seen, plan = frame.observation, frame.plan
+    seen, plan, config = frame.observation, ensemble(frame.plan), frame.config
     state = seen.state
     offset = point - np.asarray(state.position, dtype=np.float64)
     distance = float(np.linalg.norm(offset))
     x, y, z = offset @ rotation_matrix(state.quaternion)
-    shape = np.array(plan.fine_range.shape)
-    turns = np.array((np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5, np.arctan2(y, x) / (2.0 * np.pi) + 0.5))
-    row, column = np.minimum((turns * shape).astype(int), shape - 1)
-    into_cell = turns * shape - (row, column)
-    pool = frame.config.partition.fine_cells
     facts = [
         ("range", f"{distance:.2f} m"),
         ("position", ", ".join(f"{value:.2f}" for value in point) + " m"),
@@ -104,11 +106,19 @@ def describe_point(frame: Frame, point: Array) -> list[tuple[str, str]]:
             facts.append(("age", f"{seen.time - seen.sweep_times[number]:.2f} s since the end of that sweep"))
         else:
             facts.append(("age", "unknown: the source has no times of sweeps"))
+    if plan is None or not isinstance(config, PlannerConfig):
+        return [*facts, ("cells", "this planner has none")]
+    shape = np.array(plan.fine_range.shape)
+    turns = np.array((np.arctan2(z, np.hypot(x, y)) / np.pi + 0.5, np.arctan2(y, x) / (2.0 * np.pi) + 0.5))
+    row, column = np.minimum((turns * shape).astype(int), shape - 1)
+    into_cell = turns * shape - (row, column)
+    pool = config.partition.fine_cells
+    if gaps and gaps[number] <= 1e-4:
         # At the border of a cell, rounding decides which one holds the point. The plan may start a little later.
         is_inside = bool(np.abs(into_cell - 0.5).max() < 0.45)
-        moved = frame.config.vehicle.delay * float(np.linalg.norm(state.velocity))
+        moved = config.vehicle.delay * float(np.linalg.norm(state.velocity))
         is_left_out = is_inside and distance < plan.fine_range[row, column] - _LEFT_OUT - moved
-        if is_left_out and distance < frame.config.partition.range_min:
+        if is_left_out and distance < config.partition.range_min:
             facts.append(("partition", "left out: nearer than partition.range_min"))
     return [
         *facts,

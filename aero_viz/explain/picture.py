@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_viz.explain.evidence import Evidence
+from aero_viz.explain.evidence import PlanEvidence
+from aero_viz.planners.plan import ensemble
 
 _HALF = 5.0
 """Half the width of the map [m]."""
@@ -28,7 +29,7 @@ COLORS = {
 """Colours of the map, which are those of the page and its scene."""
 
 
-def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
+def draw_map(evidence: PlanEvidence, end: ArrayLike | None = None) -> str:
     """Return the map around the drone. Obstacles are cut at its height; `end` is where it hit [m], shape [3]."""
     frame, plan, recorded = evidence.frame, evidence.plan, evidence.frame.recorded_plan
     drone = frame.drone_position
@@ -43,11 +44,13 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
         points = " ".join(f"{x:.0f},{y:.0f}" for x, y in place(path.astype(np.float64)))
         return f'<polyline points="{points}" fill="none" stroke="{color}" stroke-width="{width}"{dash}/>'
 
-    cloud = place(np.asarray(plan.filtered_points, dtype=np.float64))
+    full = ensemble(plan)
+    known = frame.observation.points if full is None else full.filtered_points
+    cloud = place(np.asarray(known, dtype=np.float64))
     cloud = cloud[((cloud > 0.0) & (cloud < size)).all(axis=1)][:1500]
     points = "".join(f'<circle cx="{x:.0f}" cy="{y:.0f}" r="1.6"/>' for x, y in cloud)
     parts = [_section(evidence, drone), f'<g fill="{COLORS["point"]}">{points}</g>']
-    braking = plan.braking
+    braking = None if full is None else full.braking
     if braking is not None:
         parts += [line(path, COLORS["braking"], 2.0, ' stroke-dasharray="7 5"') for path in braking.positions]
     parts += [
@@ -80,7 +83,7 @@ def draw_map(evidence: Evidence, end: ArrayLike | None = None) -> str:
     )
 
 
-def _section(evidence: Evidence, drone: NDArray[np.float64], cells: int = 100) -> str:
+def _section(evidence: PlanEvidence, drone: NDArray[np.float64], cells: int = 100) -> str:
     """Return the cells of a grid at the height of the drone whose centres lie inside an obstacle, row by row."""
     world = evidence.frame.world
     if world is None:

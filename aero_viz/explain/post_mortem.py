@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 from aero_planner.plan import BrakingCandidates
 from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
 from aero_viz.explain.decision import Decision
-from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.evidence import Evidence, PlanEvidence, Replanner
 from aero_viz.explain.trace import FlightTrace
 from aero_viz.explain.verdict import closest
 from aero_viz.explain.visibility import Seen, find_seen
+from aero_viz.planners.plan import ensemble
 from aero_viz.scenes import World
+from aero_viz.session.engine import PLANNER_FAILED
 from aero_viz.session.frame import Frame
 
 Array = NDArray[np.float64]
@@ -27,6 +29,7 @@ FAILURES = ("collision", "stall", "out_of_bounds", "timeout")
 """Outcomes that are explained."""
 _APPROACH_MIN = 0.5
 """Mean speed from which a drone is on its way to the goal [m/s]."""
+_ENDS = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}
 _MOVING = "hit a moving obstacle"
 _AGAIN = "computed again"
 _RADIUS = 6
@@ -94,7 +97,7 @@ class PostMortem:
         return "\n".join([*lines, *(f"- {text}" for text in self.sentences), *(f"? {text}" for text in self.missing)])
 
 
-def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
+def explain_flight(trace: FlightTrace) -> tuple[PostMortem, PlanEvidence | None]:
     """Return the report on a flight that has ended, and the evidence of the tick that matters most.
 
     That tick is the last one from which braking would have worked, or the last one of the flight.
@@ -108,6 +111,10 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
         text = (
             "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight was not over."
         )
+        if outcome == PLANNER_FAILED:
+            return PostMortem(
+                **facts, cause="the planner failed", sentences=[last.explanation or ""], missing=trace.missing
+            ), None
         return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
     replan = Replanner()
     try:
@@ -118,7 +125,7 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, Evidence | None]:
         replan.close()
 
 
-def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence | None]:
+def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, PlanEvidence | None]:
     last, end = trace.last, trace.end_position
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
@@ -132,7 +139,7 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
         sentences = [f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."]
         sentences += _followed_sentence(frames, cylinders)
     seen = find_seen(frames, place)
-    estimated = _last_braking(frames, last.moving_world, trace.rules.radius, lambda frame: frame.plan.braking)
+    estimated = _last_braking(frames, last.moving_world, trace.rules.radius, _planned_braking)
     frame = estimated
     if any(map(_has_estimate, frames)):
         frame = _last_braking(
@@ -142,7 +149,10 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time, until)
     sentences.append(_seen_sentence(seen, braking))
-    sentences += _braking_sentences(frames, braking, until)
+    if ensemble(last.plan) is None:
+        sentences.append("Whether braking would have worked is not known: this planner reports no braking paths.")
+    else:
+        sentences += _braking_sentences(frames, braking, until)
     status = Decision.of(frames[-1]).status
     if was_braking := status != PlanStatus.OK:
         since = next((f.time for f in reversed(frames) if Decision.of(f).status != status), frames[0].time)
@@ -172,7 +182,8 @@ def _followed_sentence(frames: list[Frame], cylinders: Array) -> list[str]:
     since: float | None = None
     again = _again(Decision.of(frames[-1]).is_recorded)
     for frame, cylinder in zip(reversed(frames), reversed(cylinders), strict=True):
-        moving = frame.plan.moving
+        plan = ensemble(frame.plan)
+        moving = None if plan is None else plan.moving
         if moving is None:
             return []
         distances = np.linalg.norm(moving.positions - cylinder[:2], axis=1)
@@ -214,6 +225,12 @@ def _contact(frame: Frame, world: World | None, position: Array) -> tuple[Array,
     return position - distance * slope / max(float(np.linalg.norm(slope)), 1e-9), name
 
 
+def _planned_braking(frame: Frame) -> BrakingCandidates | None:
+    """Return the braking candidates of a plan; None if its planner has none."""
+    plan = ensemble(frame.plan)
+    return None if plan is None else plan.braking
+
+
 def _has_estimate(frame: Frame) -> bool:
     """Return True if the planner's state differs from the true one."""
     return frame.observation.actual_state is not frame.observation.state
@@ -235,7 +252,7 @@ def _last_braking(
         paths = braking.positions.astype(np.float64)
         places = np.concatenate((paths, 0.5 * (paths[:, 1:] + paths[:, :-1])), axis=1)
         if world is not None:
-            steps = frame.config.sampling.dt * np.arange(paths.shape[1])
+            steps = frame.config.control_step * np.arange(paths.shape[1])
             times = frame.time + np.concatenate((steps, 0.5 * (steps[1:] + steps[:-1])))
             distance = world.distance(places.reshape(-1, 3), np.tile(times, len(paths)))
         else:
@@ -249,7 +266,7 @@ def _last_braking(
     return None
 
 
-def _braking_tick(frame: Frame, evidence: Evidence, end: float, estimated_until: float | None) -> BrakingTick:
+def _braking_tick(frame: Frame, evidence: PlanEvidence, end: float, estimated_until: float | None) -> BrakingTick:
     state, decision = frame.observation.actual_state, Decision.of(frame)
     off = np.subtract(frame.observation.state.position, state.position)
     up = rotate(np.asarray(state.quaternion), np.array([0.0, 0.0, 1.0]))
@@ -298,14 +315,25 @@ def _braking_sentences(frames: list[Frame], braking: BrakingTick | None, estimat
 def _is_none_safe(frame: Frame, decision: Decision) -> bool:
     """Return True if a log says that no candidate was safe."""
     is_unsafe = decision.status == PlanStatus.NO_SAFE_CANDIDATE
-    return decision.is_recorded and is_unsafe and frame.config.candidates.prefer_safe
+    return decision.is_recorded and is_unsafe and _considers_all(frame)
+
+
+def _considers_all(frame: Frame) -> bool:
+    """Return False if only the candidate with the lowest cost is considered."""
+    return not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
 
 
 def _stop_reason(frame: Frame, status: PlanStatus) -> str:
     """Return why the planner stops the drone."""
     if status == PlanStatus.STALE_CLOUD:
         return "the cloud was stale"
-    return "no candidate was safe" if frame.config.candidates.prefer_safe else "the cheapest candidate was not safe"
+    return "no candidate was safe" if _considers_all(frame) else "the cheapest candidate was not safe"
+
+
+def _stops(frames: list[Frame]) -> dict[str, int]:
+    """Return the number of frames in which the planner stops the drone, by the reason."""
+    statuses = Counter(Decision.of(frame).status for frame in frames)
+    return {_stop_reason(frames[-1], status): statuses[status] for status in PlanStatus if status != PlanStatus.OK}
 
 
 def _again(is_again: bool) -> str:
@@ -313,10 +341,12 @@ def _again(is_again: bool) -> str:
     return f" ({_AGAIN})" if is_again else ""
 
 
-def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, Evidence]:
+def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> tuple[PostMortem, PlanEvidence]:
     """Explain a flight that stalled, ran out of time or left the world, by its last plan."""
     last, frames = trace.last, list(trace.frames)
     evidence = replan(last)
+    if not isinstance(evidence, Evidence):
+        return _no_progress_of_paths(trace, facts, evidence)
     to_go, escape = (evidence.stage2.values_of(name).sum(axis=1) for name in ("blocked_path", "escape"))
     rows = []
     for m, kind in enumerate(evidence.plan.kinds):
@@ -324,14 +354,13 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         row = {"instance": m, "kind": kind, "safe": bool(evidence.is_safe[m]), "obstacle": name}
         row |= {"clearance_m": round(clearance, 3), "at_s": round(time, 3), "blocked_path": round(float(to_go[m]), 1)}
         rows.append(row | {"escape": round(float(escape[m]), 1)})
-    anchors = rows[: last.config.anchor_count]
-    limit = last.config.costs.distance_max
+    config: Any = last.config
+    anchors = rows[: config.anchor_count]
+    limit = config.costs.distance_max
     blocking = Counter(row["obstacle"] for row in anchors if not row["safe"] or row["clearance_m"] < limit)
     nearest = ", ".join(f"{name} ({n})" for name, n in blocking.most_common(4))
-    unsafe, weight = sum(not row["safe"] for row in anchors), last.config.costs.q_blocked
-    statuses = Counter(Decision.of(frame).status for frame in frames)
-    again = _again(Decision.of(last).is_recorded)
-    stops = {_stop_reason(last, status): statuses[status] for status in PlanStatus if status != PlanStatus.OK}
+    unsafe, weight = sum(not row["safe"] for row in anchors), config.costs.q_blocked
+    again, stops = _again(Decision.of(last).is_recorded), _stops(frames)
     remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
     sentences = [
         f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
@@ -343,7 +372,7 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
         free = int((to_go[: len(anchors)] < 0.1 * weight).sum())
         sentences.append(
             f"The cost-to-go finds the way to the goal free beyond {free} of {len(anchors)} anchors; beyond the others "
-            f"up to {to_go.max() / weight:.1f} m of {last.config.lookahead:g} m are blocked{again}."
+            f"up to {to_go.max() / weight:.1f} m of {config.lookahead:g} m are blocked{again}."
         )
     if places := evidence.places:
         are = "place without progress is" if places == 1 else "places without progress are"
@@ -351,6 +380,27 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     approach = _approach(frames)
     cause = _stall_cause(facts["outcome"], anchors, stops, len(frames), to_go[: len(anchors)], approach)
     return PostMortem(**facts, cause=cause, blocked=rows, sentences=sentences, missing=trace.missing), evidence
+
+
+def _no_progress_of_paths(
+    trace: FlightTrace, facts: dict[str, Any], evidence: PlanEvidence
+) -> tuple[PostMortem, PlanEvidence]:
+    """Explain a flight without a collision by what every planner tells: its status, and its candidates' costs."""
+    frames, plan, best = list(trace.frames), evidence.plan, int(evidence.plan.best)
+    stops = _stops(frames)
+    remaining = np.linalg.norm(np.asarray(trace.last.observation.goal.position) - trace.end_position)
+    terms = ", ".join(f"{name} {cost[best]:.3g}" for name, cost in plan.costs.items())
+    sentences = [
+        f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
+        f"{np.count_nonzero(evidence.is_safe)} of {len(plan.kinds)} candidates are safe in the last plan.",
+        f"It chose candidate {best} ({plan.kinds[best]}), at a cost of {float(plan.cost[best]):.3g}: {terms}.",
+        *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
+    ]
+    name, approach = _ENDS[facts["outcome"]], _approach(frames)
+    nearer = f"coming nearer to the goal at {approach:.1f} m/s"
+    motion = nearer if approach > _APPROACH_MIN else "moving without coming nearer"
+    cause = next((why for why, count in stops.items() if count > 0.5 * len(frames)), motion)
+    return PostMortem(**facts, cause=f"{name}: {cause}", sentences=sentences, missing=trace.missing), evidence
 
 
 def _approach(frames: list[Frame]) -> float:
@@ -363,7 +413,7 @@ def _approach(frames: list[Frame]) -> float:
 def _stall_cause(
     outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array, approach: float
 ) -> str:
-    name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
+    name = _ENDS[outcome]
     if why := next((why for why, count in stops.items() if count > 0.5 * ticks), None):
         return f"{name}: {why}"
     if approach > _APPROACH_MIN:

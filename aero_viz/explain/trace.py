@@ -16,6 +16,7 @@ from aero_viz.errors import UserError
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.single import FlightRecorder, FlightRecorders
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 KEPT = 6.0
@@ -80,7 +81,9 @@ def _small(frame: Frame) -> Frame:
     seen = frame.observation
     whole = len(seen.sweeps) - seen.sweeps.thinned if seen.sweeps.thinned else None
     observation = dataclasses.replace(seen, sweeps=Sweeps(seen.sweeps, whole=whole, arrivals=seen.sweeps.arrivals))
-    return dataclasses.replace(frame, observation=observation, plan=dataclasses.replace(frame.plan, samples=None))
+    plan = ensemble(frame.plan)
+    kept = frame.plan if plan is None or plan.samples is None else dataclasses.replace(plan, samples=None)
+    return dataclasses.replace(frame, observation=observation, plan=kept)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from aero_planner import PlannerConfig
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.scenes import World
@@ -87,7 +88,8 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     distance = np.linalg.norm(offset, axis=1)
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
     elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
-    reach = min(model.range_max, max(frame.config.farthest_range for frame in frames))
+    configs = [frame.config for frame in frames if isinstance(frame.config, PlannerConfig)]
+    reach = min(model.range_max, max((config.farthest_range for config in configs), default=np.inf))
     worlds = [frame.world for frame in frames]
     occluders = _occluders(worlds, eyes, offset, distance)
     reasons, names = [], Counter[str]()

@@ -12,12 +12,11 @@ import warp as wp
 from aero_planner import Planner, PlannerConfig
 from aero_planner.exclusive import Use, exclusive
 from aero_planner.seeds import Seeds, seeds_of_batch
-from aero_planner.stages.memory.parameters import memory_duration
 from aero_viz.flight.flight_end import FlightRecord
 from aero_viz.flight.interrupt import deferred_interrupt
 from aero_viz.flight.known_drone import config_for_drone
 from aero_viz.flight.memory import SWEEPS, WHOLE_SWEEPS, remembered_sweeps
-from aero_viz.flight.metrics import FlightResult, config_name_of, flight_results
+from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.simulator import Simulator
 from aero_viz.flight.stage_timer import StageTimer
@@ -109,7 +108,7 @@ class FlightBatch:
             raise ValueError("there are no worlds to fly; give one per flight.")
         config = PlannerConfig() if config is None else config
         configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
-        names = {id(c): config_name_of(c) for c in configs} if config_names is None else {}
+        names = {id(c): c.preset_name for c in configs} if config_names is None else {}
         self._config_names = [names[id(c)] for c in configs] if config_names is None else list(config_names)
         self._seeds = seeds_of_batch(seed, len(worlds))
         per_flight = {"configurations": configs, "names of configurations": self._config_names, "seeds": self._seeds}
@@ -127,7 +126,7 @@ class FlightBatch:
             config_for_drone(c, lidar=lidar, vehicle=vehicle, world=world)
             for c, world in zip(configs, worlds, strict=True)
         ]
-        time_steps = {c.sampling.dt for c in configs}
+        time_steps = {c.control_step for c in configs}
         if rules.ticks_per_plan > 1 and len(time_steps) > 1:
             raise ValueError(
                 "the configurations differ in sampling.dt; plans that are flown for several ticks need the same."
@@ -140,7 +139,7 @@ class FlightBatch:
         self.simulator = Simulator(
             worlds, lidar=lidar, vehicle=vehicle, rules=rules, seeds=self._seeds, device=device, noise=noise
         )
-        remembered = [remembered_sweeps(memory_duration(c), lidar) for c in configs]
+        remembered = [remembered_sweeps(c.sweep_memory, lidar) for c in configs]
         self._rows = max(remembered)
         """Number of sweeps in the planner's memory."""
         points = self._rows * self.simulator.lidar.model.points_per_sweep
@@ -242,6 +241,10 @@ class FlightBatch:
             configs=self._config_names,
             plan_ms=statistics.median(self._plan_ms) if self._plan_ms else None,
         )
+
+    def close(self) -> None:
+        """Stop the threads of the planner."""
+        self.planner.close()
 
     def _count_finished(self) -> int:
         return int((self.simulator.outcome.numpy() != 0).sum())

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeVar
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_planner.config.field_of_view import mounted_view
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.vehicle_model import VehicleModel
@@ -13,12 +13,12 @@ from aero_viz.scenes.world import World
 from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
-_FACTS = ("unseen_space.view_min", "unseen_space.view_max", "vehicle.delay", "costs.height_max")
+Config = TypeVar("Config", bound=DroneConfig)
+_FACTS = ("view_min", "view_max", "delay", "height_max")
+"""Names of the parameters that are facts of a flight, in whatever section of a configuration."""
 
 
-def config_for_drone(
-    config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None
-) -> PlannerConfig:
+def config_for_drone(config: Config, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None) -> Config:
     """Return `config` with the facts of a flight in place of default values.
 
     The facts are the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The
@@ -29,23 +29,25 @@ def config_for_drone(
     return _with_facts(config, _facts(config, lidar=lidar, vehicle=vehicle, world=world))
 
 
-def config_for_flight(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
+def config_for_flight(config: DroneConfig, flight: SourceInfo) -> DroneConfig:
     """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
     return _with_facts(config, _known(config, flight))
 
 
-def config_without_facts(config: PlannerConfig, flight: SourceInfo) -> PlannerConfig:
+def config_without_facts(config: DroneConfig, flight: SourceInfo) -> DroneConfig:
     """Return `config` with default values in place of the facts of a flight: the inverse of `config_for_flight`."""
-    default, known = PlannerConfig(), _known(config, flight)
-    return config.replace({path: default.get(path) for path in _FACTS if config.get(path) == known[path]})
+    default, known = type(config)(), _known(config, flight)
+    return config.replace(
+        {path: default.get(path) for path in _paths(config).values() if config.get(path) == known[path]}
+    )
 
 
-def config_for_next_flight(config: PlannerConfig, *, before: SourceInfo, after: SourceInfo) -> PlannerConfig:
+def config_for_next_flight(config: DroneConfig, *, before: SourceInfo, after: SourceInfo) -> DroneConfig:
     """Return `config` with the facts of the flight `after` in place of those of `before`."""
     return config_for_flight(config_without_facts(config, before), after)
 
 
-def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: SourceInfo) -> dict[str, Any]:
+def facts_after(changes: Mapping[str, Any], *, config: DroneConfig, flight: SourceInfo) -> dict[str, Any]:
     """Return the facts of a flight that some changes of `config` bring about, also for those that they reset.
 
     Some facts depend on other parameters: the top of the world on costs.use_ground, the delay on the lags of the rates.
@@ -54,37 +56,47 @@ def facts_after(changes: Mapping[str, Any], *, config: PlannerConfig, flight: So
     Raises:
         ValueError: a parameter is unknown or out of its bounds.
     """
-    default = PlannerConfig()
+    default = type(config)()
     before, after = _known(config, flight), _known(config.replace(changes), flight)
-    facts = {path: after[path] for path in _FACTS if after[path] != before[path] and config.get(path) == before[path]}
+    facts = {
+        path: after[path]
+        for path in _paths(config).values()
+        if after[path] != before[path] and config.get(path) == before[path]
+    }
     chosen = {path: value for path, value in changes.items() if value != default.get(path)}
-    return facts | {path: chosen.get(path, after[path]) for path in _FACTS if path in changes}
+    return facts | {path: chosen.get(path, after[path]) for path in _paths(config).values() if path in changes}
 
 
-def _with_facts(config: PlannerConfig, facts: Mapping[str, float]) -> PlannerConfig:
+def _with_facts(config: Config, facts: Mapping[str, float]) -> Config:
     """Return `config` with facts in place of default values; a value that was chosen stays."""
-    default = PlannerConfig()
+    default = type(config)()
     return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
 
 
-def _known(config: PlannerConfig, flight: SourceInfo) -> dict[str, float]:
+def _known(config: DroneConfig, flight: SourceInfo) -> dict[str, float]:
     """Return all facts of a flight, with default values for what is unknown. They need not fit to what was chosen."""
-    default = PlannerConfig()
-    known = {path: float(default.get(path)) for path in _FACTS}
+    default = type(config)()
+    known = {path: float(default.get(path)) for path in _paths(config).values()}
     if not flight.closed_loop or "lidar" not in flight.settings:
         return known
     settings = FlightSettings.from_dict(flight.settings)
     return known | _facts(config, lidar=settings.lidar, vehicle=settings.drone, world=flight.world)
 
 
-def _facts(config: PlannerConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, float]:
+def _facts(config: DroneConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, float]:
     roll, pitch, _ = lidar.mount_angles
     view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
     facts = {
-        "unseen_space.view_min": view[0],
-        "unseen_space.view_max": view[1],
-        "vehicle.delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
+        "view_min": view[0],
+        "view_max": view[1],
+        "delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
     }
-    if world is not None and config.costs.use_ground:
-        facts["costs.height_max"] = float(world.bounds[1, 2])
-    return facts
+    if world is not None and (not isinstance(config, PlannerConfig) or config.costs.use_ground):
+        facts["height_max"] = float(world.bounds[1, 2])
+    paths = _paths(config)
+    return {paths[name]: value for name, value in facts.items() if name in paths}
+
+
+def _paths(config: DroneConfig) -> dict[str, str]:
+    """Return the path of each fact that a configuration has a parameter for, by its name."""
+    return {info.name: info.path for info in config.parameters() if info.name in _FACTS}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from aero_planner import PlannerConfig
-from aero_planner.stages.memory.parameters import memory_duration
 from aero_planner.sweeps import sweeps_within
 from aero_viz.sensors.models import LidarModel
 
@@ -16,9 +15,9 @@ MOST_SWEEPS = 120
 
 
 def remembered_sweeps(memory: float, lidar: LidarModel) -> int:
-    """Return how many sweeps are newer than `memory` [s] when one is complete, see `memory_duration`."""
+    """Return how many sweeps are newer than `memory` [s] when one is complete, see `DroneConfig.sweep_memory`."""
     return min(max(sweeps_within(memory, 1.0 / lidar.sweep_rate), 1), MOST_SWEEPS)
 
 
-DEFAULT_MEMORY = memory_duration(PlannerConfig())
+DEFAULT_MEMORY = PlannerConfig().sweep_memory
 """Memory of the default configuration [s]."""

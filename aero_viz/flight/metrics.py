@@ -12,7 +12,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import PlannerConfig
 from aero_planner.warp_init import init_warp
 from aero_viz.flight.explanation import explain
 from aero_viz.flight.flight_end import FlightRecord, RuleParameters, judge_trajectory_kernel
@@ -36,7 +35,8 @@ class FlightResult:
 
     arrived: bool
     reason: str | None
-    """"arrived", "collision", "stall", "out_of_bounds" or "timeout"; None for a flight that has not ended."""
+    """"arrived", "collision", "stall", "out_of_bounds", "timeout" or "planner_failed"; None for one that has not
+    ended."""
     flight_time_s: float
     mean_speed: float
     """Length over time [m/s]."""
@@ -120,11 +120,6 @@ def flight_results(
         )
         results.append(result)
     return results
-
-
-def config_name_of(config: PlannerConfig) -> str:
-    """Return the name of the preset that a configuration equals, or "custom"."""
-    return next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), "custom")
 
 
 def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> NDArray[Any]:

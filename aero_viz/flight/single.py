@@ -13,11 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig, VehicleState
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
 from aero_viz.flight.known_drone import config_for_flight
-from aero_viz.flight.metrics import FlightResult, config_name_of
+from aero_viz.flight.metrics import FlightResult
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.source import FlightSource
 from aero_viz.flight.state_noise import StateNoise
@@ -26,6 +27,7 @@ from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.models import LidarModel
 from aero_viz.session import Session
+from aero_viz.session.engine import PLANNER_FAILED
 from aero_viz.session.frame import Frame
 
 FlightProgress = Callable[[float, float], None]
@@ -62,7 +64,7 @@ class FlightRecorders:
 def fly(
     world: World,
     *,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     seed: int = 0,
     device: str = "cpu",
     lidar: LidarModel | None = None,
@@ -79,7 +81,7 @@ def fly(
 
     Args:
         world: where to fly.
-        config: configuration of the planner; None is the default.
+        config: configuration, which also says which planner flies; None is the default of AERO-MPPI.
         seed: seed of LiDAR, noise and planner.
         device: Warp device.
         lidar, vehicle, rules, noise: as in `FlightBatch`.
@@ -101,7 +103,7 @@ def fly(
     config, rules = config or PlannerConfig(), rules or FlightRules()
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
-        name = config_name or config_name_of(config)
+        name = config_name or config.preset_name
         refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
         source = FlightSource(
             world,
@@ -109,7 +111,7 @@ def fly(
             vehicle=vehicle.commanded_by(config) if vehicle else VehicleModel.from_config(config),
             rules=rules,
             noise=noise,
-            control_step=config.sampling.dt,
+            control_step=config.control_step,
             seed=seed,
             device=device,
         )
@@ -133,6 +135,7 @@ def fly(
             record_tick()
             simulator.observers.append(record_tick)
         plan_ms: list[float] = []
+        failure: str | None = None
         ended = source.outcome is not None and active_recorder is None  # collided at the start: nothing to plan
         while not ended:
             frame = session.tick()
@@ -141,9 +144,12 @@ def fly(
                 active_recorder.write(frame)
             if progress is not None:
                 progress(distance_share(world, frame.observation.actual_state.position), frame.time)
-            ended = is_interrupted() or source.outcome is not None
+            ended = is_interrupted() or source.outcome is not None or frame.outcome is not None
+            failure = frame.explanation if source.outcome is None and frame.outcome is not None else None
         median = statistics.median(plan_ms) if plan_ms else None
         result = dataclasses.replace(source.result(), config=name, plan_ms_median=median)
+        if failure is not None:
+            result = dataclasses.replace(result, reason=PLANNER_FAILED, explanation=failure)
         interrupted = is_interrupted()
     if interrupted:
         raise FlightInterrupted(result)

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Arrival, Goal, Plan, PlannerConfig, Sweeps, VehicleState
+from aero_planner import Arrival, Goal, PlannerConfig, Sweeps, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
 from aero_viz.flight.explanation import goal_problem
@@ -23,10 +23,12 @@ from aero_viz.flight.simulator import Setting, Simulator
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.sweep_cache import Cloud, Pose, Scan, Sweep, SweepCache, join_returns
 from aero_viz.flight.vehicle_model import VehicleModel
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import CandidatePlan, Plan
 from aero_viz.scenes.world import World
 from aero_viz.sensors.lidar import is_sweep_lost
 from aero_viz.sensors.models import LIDARS, LidarModel
-from aero_viz.session.source import Observation, SourceInfo
+from aero_viz.session.source import SourceInfo
 
 LATENCY_MAX = 0.5
 """Largest latency of the drone that can be chosen during a flight which began with less [s]."""
@@ -57,7 +59,8 @@ class FlightSource:
         vehicle: model of the drone; None is the default vehicle. It takes commands as the plans have them.
         rules: when the flight ends. A tick of the source is the time of one plan, `ticks_per_plan` ticks of the rules.
         noise: errors of the state estimate; None gives the planner the true state.
-        control_step: time step of the plans' controls [s]; they are interpolated if a plan is flown for several ticks.
+        control_step: time step of the controls of AERO-MPPI's plans [s]; they are interpolated if a plan is flown for
+            several ticks.
         seed: seed of the LiDAR pattern and all noise. Same seed, device and plans: same flight, bit for bit.
         device: Warp device.
 
@@ -102,7 +105,7 @@ class FlightSource:
             world=world,
             settings=_settings(self.simulator).to_dict(),
         )
-        self._phases = [k * rules.period / control_step for k in range(int(rules.ticks_per_plan))]
+        self._control_step = control_step
         simulator = self.simulator
         self._setting = Setting(world, simulator.lidar.model, simulator.vehicle.model, noise)
         self._measured = self._setting
@@ -151,11 +154,13 @@ class FlightSource:
         """Fly the first controls of `plan` for the time of one plan; does nothing if the flight is over."""
         self._obey(plan.model)
         commands = wp.array(plan.command[None], dtype=wp.vec4, device=self.simulator.device)
-        for phase in self._phases:
+        rules = self.simulator.rules
+        step = plan.step if isinstance(plan, CandidatePlan) else self._control_step
+        for k in range(int(rules.ticks_per_plan)):
             if self.outcome is not None:
                 return
             before = self._pose
-            sweep, first, end = self.simulator.advance(commands, phase=phase)
+            sweep, first, end = self.simulator.advance(commands, phase=k * rules.period / step)
             self._read_state()
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
                 self._scans = (*self._scans, Scan(sweep, first, end, before, self._pose, self._setting))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from aero_planner import registry
-from aero_planner.config import PlannerConfig, VehicleConfig
+from aero_planner.config import DroneConfig, VehicleConfig
 from aero_planner.parameters import ParameterSection, live
 
 PLANNED = ("mass", "gravity", "thrust_min", "thrust_max", "rate_xy_max", "rate_z_max")
@@ -70,12 +70,16 @@ class VehicleModel(ParameterSection, section="drone"):
             raise ValueError("drone.gust_speed has no effect without drag; set drone.drag too, such as 0.3 1/s.")
 
     @classmethod
-    def from_config(cls, config: PlannerConfig, **changes: float) -> VehicleModel:
+    def from_config(cls, config: DroneConfig, **changes: float) -> VehicleModel:
         """Return the vehicle that the planner of `config` assumes, with `changes` of its parameters."""
-        return cls(**{name: getattr(config.vehicle, name) for name in PLANNED} | changes).commanded_by(config)
+        planned: dict[str, Any] = {name: getattr(config.vehicle, name) for name in PLANNED}
+        planned.update(changes)
+        return cls(**planned).commanded_by(config)
 
-    def commanded_by(self, config: PlannerConfig) -> VehicleModel:
+    def commanded_by(self, config: DroneConfig) -> VehicleModel:
         """Return this vehicle with commands as the vehicle model of `config` has them."""
         section = registry.load("models", config.vehicle.model).parameters
-        own = {} if section is None else dataclasses.asdict(getattr(config, section.section))
+        own: dict[str, float] = {}
+        if section is not None and section.section in config.sections():
+            own = dataclasses.asdict(getattr(config, section.section))
         return dataclasses.replace(self, model=config.vehicle.model, own=own)

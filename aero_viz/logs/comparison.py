@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig, PlanStatus
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
 from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
@@ -39,7 +40,7 @@ class LoggedFlight:
 
     The clearance is the distance to the obstacles of the world; without a world, that of the plan to the cloud."""
     outcome: str
-    config: PlannerConfig
+    config: DroneConfig
     """Configuration of the last plan."""
     conditions: Mapping[str, Any]
     """Seed, LiDAR, drone, noise and rules of a simulated flight, and the checksum of its world, by path."""
@@ -154,7 +155,7 @@ def _flight(path: Path, contents: LogContents) -> LoggedFlight:
     )
 
 
-def _columns(contents: LogContents, world: World | None, config: PlannerConfig) -> dict[str, Any]:
+def _columns(contents: LogContents, world: World | None, config: DroneConfig) -> dict[str, Any]:
     stamps, plans = contents.pose_stamps, [plan for plan in contents.plans if plan.kinds]
     start, table = stamps[0], np.array(contents.poses)
     time = np.array([(plan.stamp - start) * 1e-9 for plan in plans])
@@ -169,7 +170,7 @@ def _columns(contents: LogContents, world: World | None, config: PlannerConfig) 
         columns["clearance"] = world.distance(np.stack([columns[axis] for axis in "xyz"], axis=1), time)
     else:
         columns["clearance"] = np.array([float(plan.clearance[plan.best]) for plan in plans])
-    limit = config.candidates.safe_clearance
+    limit = config.candidates.safe_clearance if isinstance(config, PlannerConfig) else np.inf
     return columns | {
         "time": time,
         "clearance": columns["clearance"].clip(0.0, CLEARANCE_MAX),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
+from aero_planner.onboard.ros_messages import COSTS, COSTS_DEFINITION, PLAN, PLAN_DEFINITION
 from aero_planner.plan import PlanStatus
 from aero_planner.user_file import open_user_file, parse_json
 from aero_viz.errors import UserError
@@ -33,10 +33,10 @@ from aero_viz.reader_process import Limits, ReadCancelled, Reader, ReaderProcess
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 
 if TYPE_CHECKING:
-    from aero_planner.config import PlannerConfig
+    from aero_planner.config import DroneConfig
     from aero_viz.scenes import World
 
-_TOPICS = ("/goal", "/plan", "/plan/best", "/odometry")
+_TOPICS = ("/goal", "/plan", "/plan/best", "/plan/costs", "/odometry")
 _PLAN_TOPICS = {"/plan", "/plan/best"}
 _TEXT_MAX = 1000
 _COSTS = ("stage2_cost", "goal_cost", "collision_cost", "clearance")
@@ -59,6 +59,8 @@ class LoggedPlan:
     config_version: int
     path: NDArray[np.float32] = field(default_factory=lambda: np.zeros((0, 3), np.float32))
     """Positions of the chosen rollout [m], shape [N+1, 3], world frame; empty if they were not logged."""
+    costs: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+    """Terms of the cost by name; empty for the goal and the collision cost of AERO-MPPI."""
 
 
 @dataclass(eq=False)
@@ -119,7 +121,7 @@ class LogContents:
             raise UserError(f"The settings of the flight in {self.path} are damaged: {error}.") from error
         return content
 
-    def config(self, version: int | None = None) -> PlannerConfig | None:
+    def config(self, version: int | None = None) -> DroneConfig | None:
         """Return the configuration of this version or, if there is none, the last one; None if the log has none.
 
         Raises:
@@ -127,6 +129,7 @@ class LogContents:
         """
         from aero_planner.config.file import ConfigFile
         from aero_planner.config.yaml_entries import parse_entries
+        from aero_viz.planners.registry import config_type
 
         names = sorted((n for n in self.attachments if n.startswith("config") and n.endswith(".yaml")), key=len)
         if not names:
@@ -134,7 +137,8 @@ class LogContents:
         name = f"config_{version}.yaml" if f"config_{version}.yaml" in self.attachments else names[-1]
         place = f"{self.path}: {name}"
         try:
-            return ConfigFile(place, parse_entries(self.attachments[name].decode(), place)).planner_config()
+            file = ConfigFile(place, parse_entries(self.attachments[name].decode(), place))
+            return file.planner_config(config_type(file.planner, of_file=True))
         except ValueError as error:
             raise UserError(str(error)) from error
 
@@ -268,6 +272,14 @@ def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:
         if path is not None and last is not None and last.stamp == stamp:
             contents.plans[-1] = replace(last, path=path)
         return path is not None
+    if topic == "/plan/costs":
+        last = contents.plans[-1] if contents.plans else None
+        shape = len(message.terms), 0 if last is None else len(last.kinds)
+        if last is None or last.stamp != stamp or len(message.values) != shape[0] * shape[1]:
+            return False
+        table = np.asarray(message.values, np.float32).reshape(shape)
+        contents.plans[-1] = replace(last, costs=dict(zip(map(_printable, message.terms), table, strict=True)))
+        return True
     if topic == "/goal":
         place = np.array([getattr(message.pose.position, axis) for axis in "xyz"])
         contents.goals += [(stamp, place)] if np.isfinite(place).all() else []
@@ -283,7 +295,7 @@ def _add(contents: LogContents, topic: str, stamp: int, message: Any) -> bool:
 
 def _plan(stamp: int, message: Any) -> LoggedPlan | None:
     """Return the plan in a message, None if its numbers do not fit together."""
-    costs = {name: np.asarray(getattr(message, name), np.float32) for name in _COSTS}
+    costs: dict[str, Any] = {name: np.asarray(getattr(message, name), np.float32) for name in _COSTS}
     count = len(message.kinds)
     if any(len(values) != count for values in costs.values()) or not (
         0 <= message.best < count or message.best == count == 0
@@ -318,4 +330,5 @@ def _typestore() -> Typestore:
     """Return the types of the messages in a flight log."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(PLAN_DEFINITION, PLAN))
+    store.register(get_types_from_msg(COSTS_DEFINITION, COSTS))
     return store

@@ -15,6 +15,7 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.onboard.ros_messages import (
     BODY,
     DEFINITIONS,
@@ -69,7 +70,7 @@ def write_sensor_log(
     world: World,
     path: str | Path,
     *,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     seed: int = 0,
     speed: float | None = None,
     lidar: LidarModel | None = None,
@@ -98,7 +99,7 @@ def write_sensor_log(
         lidar=lidar,
         vehicle=VehicleModel.from_config(config),
         rules=rules,
-        control_step=config.sampling.dt,
+        control_step=config.control_step,
         seed=seed,
     )
     try:

@@ -8,13 +8,15 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Arrival, Goal, Plan, Sweeps, VehicleState
+from aero_planner import Arrival, Goal, Sweeps, VehicleState
 from aero_planner.quaternions import rotate, rotation_matrix
 from aero_planner.sweeps import as_constant
 from aero_viz.errors import UserError
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import Plan
 from aero_viz.recordings.poses import POSE_TOLERANCE, Pose
 from aero_viz.recordings.recording import PointSweep, Recording
-from aero_viz.session.source import Observation, SourceInfo
+from aero_viz.session.source import SourceInfo
 
 MAX_POINTS = 200_000
 """Largest number of points in the planner's cloud. Whole sweeps are used; the newest one always is."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 from numpy.typing import ArrayLike
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Source
@@ -38,7 +38,7 @@ class SessionControls(Protocol):
         source: Source,
         *,
         seed: int | None = None,
-        convert: Callable[[PlannerConfig], PlannerConfig] | None = None,
+        convert: Callable[[DroneConfig], DroneConfig] | None = None,
     ) -> Future[Any]:
         """Continue with another source, from its start, and with another seed of the planner's noise.
 
@@ -66,19 +66,19 @@ class SessionControls(Protocol):
         """Say in every frame from now on which candidates are safe."""
         ...
 
-    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+    def configure(self, change: DroneConfig | Mapping[str, Any]) -> DroneConfig:
         """Use another configuration, or change some parameters of the current one."""
         ...
 
-    def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
+    def flown(self) -> Future[list[tuple[Checkpoint, DroneConfig]]]:
         """Return every tick of the source so far, with the configuration of its last plan."""
         ...
 
-    def undo(self) -> PlannerConfig:
+    def undo(self) -> DroneConfig:
         """Take back the newest change of the configuration or of the world, and return the configuration."""
         ...
 
-    def redo(self) -> PlannerConfig:
+    def redo(self) -> DroneConfig:
         """Redo the change that was undone last, and return the configuration."""
         ...
 
@@ -95,7 +95,7 @@ class SessionControls(Protocol):
         """End the comparison."""
         ...
 
-    def compare_with(self, config: PlannerConfig) -> Future[Any]:
+    def compare_with(self, config: DroneConfig) -> Future[Any]:
         """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
         ...
 
@@ -171,7 +171,7 @@ class BaseSession(ABC):
 
     @property
     @abstractmethod
-    def config(self) -> PlannerConfig:
+    def config(self) -> DroneConfig:
         """The planner's configuration."""
 
     @property

@@ -6,14 +6,15 @@ import contextlib
 import dataclasses
 import weakref
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from aero_planner import Planner, PlannerConfig
-from aero_planner.history import History
+from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.errors import UserError
+from aero_viz.planners.planner import Planner
+from aero_viz.planners.registry import make
 from aero_viz.session.base import Publisher
-from aero_viz.session.engine import Engine
+from aero_viz.session.engine import Engine, reconfigured
 from aero_viz.session.frame import Frame
 from aero_viz.session.timeline import Checkpoint
 
@@ -28,7 +29,7 @@ class ComparisonEvent(NamedTuple):
 
     kind: Literal["pinned", "planned", "departed", "flown", "unpinned"]
     """"planned": A planned the session's tick; "departed": A begins to fly from it; "flown": A has flown a tick."""
-    config: PlannerConfig | None
+    config: DroneConfig | None
     """Configuration A; None after "unpinned"."""
     frame: Frame | None = None
     """A's frame, for "planned" and "flown"."""
@@ -40,7 +41,7 @@ class _Flight:
 
     checkpoint: object
     """Checkpoint of the source."""
-    history: History
+    history: Any
     """State of the planner before its next plan."""
     ticks: int = 0
 
@@ -59,14 +60,14 @@ class Comparison:
         config: returns configuration B.
     """
 
-    def __init__(self, engine: Engine, *, device: str, config: Callable[[], PlannerConfig]) -> None:
-        self.pinned: PlannerConfig | None = None
+    def __init__(self, engine: Engine, *, device: str, config: Callable[[], DroneConfig]) -> None:
+        self.pinned: DroneConfig | None = None
         """Configuration A; None while nothing is compared."""
         self.frame: Frame | None = None
         """A's plan of the session's tick; None until there is one."""
         self._engine, self._device, self._config = engine, device, config
         self._planner: Planner | None = None
-        self._planned: tuple[Checkpoint, PlannerConfig] | None = None
+        self._planned: tuple[Checkpoint, DroneConfig] | None = None
         self._flight: _Flight | None = None
         self._source = weakref.ref(engine.source)
         self._when_over: Callable[[], None] | None = None
@@ -80,13 +81,13 @@ class Comparison:
         """Remove and close a sink."""
         self._events.unsubscribe(sink)
 
-    def pin(self, config: PlannerConfig | None = None) -> None:
+    def pin(self, config: DroneConfig | None = None) -> None:
         """Make `config`, or the present configuration of the session, A."""
         self._clear()
         self.pinned = config or self._config()
         self._events.publish(ComparisonEvent("pinned", self.pinned))
 
-    def convert(self, function: Callable[[PlannerConfig], PlannerConfig]) -> None:
+    def convert(self, function: Callable[[DroneConfig], DroneConfig]) -> None:
         """Replace A by the result of `function`. A stays where that raises ValueError."""
         if self.pinned is None:
             return
@@ -174,17 +175,17 @@ class Comparison:
         self.frame = self._plan(frame, frame.checkpoint.planner)
         self._events.publish(ComparisonEvent("planned", config, self.frame))
 
-    def _plan(self, frame: Frame, history: History) -> Frame:
+    def _plan(self, frame: Frame, history: Any) -> Frame:
         """Return `frame` with the plan of A from its observation."""
         assert self.pinned is not None
         if self._planner is None:
-            self._planner = Planner(self.pinned, device=self._device, seed=self._engine.seed)
+            self._planner = make(self.pinned, device=self._device, seed=self._engine.seed)
         elif self._planner.config is not self.pinned:
-            self._planner.configure(self.pinned)
+            self._planner = reconfigured(self._planner, self.pinned, device=self._device, seed=self._engine.seed)
         self._planner.restore(history)
-        plan = frame.observation.plan_with(self._planner)
+        plan = self._planner.attempt(frame.observation)
         timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", 0.0)}
-        is_safe = self._engine.judge(self._planner)
+        is_safe = self._engine.judge(self._planner, plan)
         return dataclasses.replace(frame, plan=plan, config=self.pinned, timings_ms=timings, is_safe=is_safe)
 
     def _fly(self, flight: _Flight) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.session.world_history import NEVER
 
 DRAG_INTERVAL = 2.0
@@ -20,7 +20,7 @@ _MOST = 500
 
 @dataclass(frozen=True, eq=False)
 class _Entry:
-    config: PlannerConfig
+    config: DroneConfig
     changed_at: float = NEVER
     """When it replaced the one before it [s]."""
     undone_at: float = NEVER
@@ -30,7 +30,7 @@ class _Entry:
 class ConfigHistory:
     """Immutable configurations, each replaced as a whole. The version counts the replacements."""
 
-    def __init__(self, config: PlannerConfig) -> None:
+    def __init__(self, config: DroneConfig) -> None:
         self._entries = [_Entry(config)]
         self._index = 0
         self._version = 0
@@ -38,7 +38,7 @@ class ConfigHistory:
         self._lock = threading.Lock()
 
     @property
-    def current(self) -> tuple[PlannerConfig, int]:
+    def current(self) -> tuple[DroneConfig, int]:
         """The current configuration and its version."""
         with self._lock:
             return self._entries[self._index].config, self._version
@@ -56,7 +56,7 @@ class ConfigHistory:
         with self._lock:
             return max((entry.undone_at for entry in self._entries[self._index + 1 : self._index + 2]), default=NEVER)
 
-    def change(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+    def change(self, change: DroneConfig | Mapping[str, Any]) -> DroneConfig:
         """Use another configuration, or change some parameters of the current one, and return the result.
 
         Raises:
@@ -64,10 +64,10 @@ class ConfigHistory:
         """
         with self._lock:
             current = self._entries[self._index].config
-            config = change if isinstance(change, PlannerConfig) else current.replace(change)
+            config = change if isinstance(change, DroneConfig) else current.replace(change)
             if config == current:
                 return current
-            paths = frozenset() if isinstance(change, PlannerConfig) else frozenset(change)
+            paths = frozenset() if isinstance(change, DroneConfig) else frozenset(change)
             is_same_drag = bool(paths) and self._last[0] == paths and time.monotonic() - self._last[1] < DRAG_INTERVAL
             self._last = (paths, time.monotonic())
             del self._entries[self._index + 1 :]
@@ -79,7 +79,7 @@ class ConfigHistory:
             self._version += 1
             return config
 
-    def go(self, step: int) -> PlannerConfig:
+    def go(self, step: int) -> DroneConfig:
         """Undo (-1) or redo (+1) one change, if there is one, and return the resulting configuration."""
         with self._lock:
             self._entries[self._index] = replace(self._entries[self._index], undone_at=time.monotonic())
@@ -89,7 +89,7 @@ class ConfigHistory:
             return self._entries[self._index].config
 
     @contextlib.contextmanager
-    def converted(self, function: Callable[[PlannerConfig], PlannerConfig]) -> Iterator[None]:
+    def converted(self, function: Callable[[DroneConfig], DroneConfig]) -> Iterator[None]:
         """Replace every configuration by the result of `function`, which cannot be undone, unless the context fails.
 
         A configuration for which `function` raises ValueError stays. If the context fails, all are as they were before.
@@ -114,7 +114,7 @@ class ConfigHistory:
         self._version += new != old
         self._last = (frozenset(), 0.0)
 
-    def drop(self, failed: PlannerConfig, good: PlannerConfig) -> None:
+    def drop(self, failed: DroneConfig, good: DroneConfig) -> None:
         """Remove a configuration that cannot be used. If it is the current one, `good` replaces it."""
         with self._lock:
             old_index, old = self._index, self._entries[self._index].config

@@ -11,8 +11,11 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Planner, PlannerConfig
-from aero_planner.history import History
+from aero_planner.config import DroneConfig
+from aero_viz.errors import UserError
+from aero_viz.planners.plan import Plan
+from aero_viz.planners.planner import Planner, PlannerError
+from aero_viz.planners.registry import make
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
@@ -20,6 +23,8 @@ from aero_viz.session.timeline import Checkpoint, Timeline
 
 _WARM_UP = 100
 """Ticks of a recording that are planned before one that is sought, so that the planner knows what went before."""
+PLANNER_FAILED = "planner_failed"
+"""Outcome of a flight whose planner has failed; `Frame.explanation` says how."""
 
 
 class Engine:
@@ -48,7 +53,8 @@ class Engine:
         """Ticks of a recording that were skipped since its start."""
         self._configs = configs
         self._config = configs.current[0]
-        self._planner = Planner(self._config, device=device, seed=seed)
+        self._planner = make(self._config, device=device, seed=seed)
+        self._device = device
         self.seed = seed
         """Seed of the planner's noise."""
         self._publish_frame = publish
@@ -65,7 +71,7 @@ class Engine:
         return (float(times[0]), float(times[-1])) if times is not None and len(times) else self._timeline.time_range
 
     @property
-    def planned_config(self) -> PlannerConfig:
+    def planned_config(self) -> DroneConfig:
         """Configuration of the newest plan."""
         return self._config
 
@@ -86,7 +92,7 @@ class Engine:
         """
         if self.frame is None or not self._timeline:
             return self._plan()
-        if self.source.outcome is not None:
+        if self.frame.outcome is not None:
             return self.frame
         started = time.perf_counter()
         self.source.advance(self.frame.plan)
@@ -99,9 +105,9 @@ class Engine:
     def replan(self) -> None:
         """Plan the current tick again, from the planner's state before its first plan."""
         if self._timeline:
-            self._plan(history=self._timeline.current.planner)
+            self._plan(again=self._timeline.current)
 
-    def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:
+    def flown(self) -> list[tuple[Checkpoint, DroneConfig]]:
         """Return every tick that can be returned to, with the configuration of its last plan."""
         return self._timeline.flown()
 
@@ -109,7 +115,7 @@ class Engine:
         """Plan a tick of an equal source again, and continue from there."""
         self.source.restore(checkpoint.source)
         self._timeline.append(checkpoint, self.source.observe().actual_state.position)
-        return self._plan(history=checkpoint.planner)
+        return self._plan(again=checkpoint)
 
     def alter(self, change: Callable[[Source], object]) -> None:
         """Change the source, such as its goal or its obstacles, and plan the current tick again.
@@ -156,15 +162,14 @@ class Engine:
         first, last = self._planned_rows(times)
         if self._is_gapless and self._configs.current[0] is self._config and first <= start <= last:
             begin = min(row, last)
-            checkpoint = self._timeline.go_by(begin - first - self._timeline.earlier)
+            checkpoint: Checkpoint | None = self._timeline.go_by(begin - first - self._timeline.earlier)
             self.source.restore(checkpoint.source)
             self._epoch += 1
-            history = checkpoint.planner
         else:
-            begin, history = start, None
+            begin, checkpoint = start, None
             self.source.seek(float(times[start]))
             self._start_over()
-        self._plan(history=history, is_shown=begin == row)
+        self._plan(again=checkpoint, is_shown=begin == row)
         for reached in range(begin + 1, row + 1):
             assert self.frame is not None
             self.source.advance(self.frame.plan)
@@ -218,17 +223,16 @@ class Engine:
     def _return_to(self, checkpoint: Checkpoint) -> None:
         self.source.restore(checkpoint.source)
         self._epoch += 1
-        self._plan(history=checkpoint.planner)
+        self._plan(again=checkpoint)
 
-    def _plan(self, *, history: History | None = None, advance_ms: float = 0.0, is_shown: bool = True) -> Frame:
+    def _plan(self, *, again: Checkpoint | None = None, advance_ms: float = 0.0, is_shown: bool = True) -> Frame:
         """Plan the source's current tick, and publish it.
 
         Args:
-            history: the planner's state before a tick that is planned again; None for a new tick.
+            again: checkpoint of a tick that is planned again; None for a new tick.
             advance_ms: how long the source took to advance to this tick [ms].
             is_shown: False for a tick on the way to another one, which is not published.
         """
-        is_new = history is None
         config, version = self._configs.current
         started = time.perf_counter()
         observation = self.source.observe().remembered(config)
@@ -236,15 +240,23 @@ class Engine:
         if config is not self._config:
             self._configure(config)
             self._is_gapless = self._is_gapless and not self._timeline
-        if history is None:
+        if again is None:
             history = self._planner.history()
         else:
             # Only after `_configure`: the history fits a planner of the same structure.
+            history = again.planner
             self._planner.restore(history)
-        plan = observation.plan_with(self._planner, samples=self.samples)
+        self._planner.samples = self.samples
+        try:
+            plan = self._planner.attempt(observation)
+        except PlannerError as error:
+            if again is not None or self.frame is None or not self._timeline:
+                raise UserError(str(error)) from error
+            # The flight ends at its last plan, with the reason.
+            return self._publish(dataclasses.replace(self.frame, outcome=PLANNER_FAILED, explanation=str(error)))
         planned = time.perf_counter()
-        is_safe = self.judge(self._planner)
-        if is_new:
+        is_safe = self.judge(self._planner, plan)
+        if again is None:
             checkpoint = Checkpoint(observation.time, self.source.checkpoint(), history)
             self._timeline.append(checkpoint, observation.actual_state.position)
             self._tick_ends.append(planned)
@@ -280,18 +292,18 @@ class Engine:
             return frame
         return self._publish(frame)
 
-    def judge(self, planner: Planner) -> NDArray[np.bool_] | None:
+    def judge(self, planner: Planner, plan: Plan) -> NDArray[np.bool_] | None:
         """Return which candidates of a planner's last plan are safe, shape [M]; None if nobody wants to know."""
-        return planner.safety().is_safe if self.judges else None
+        return planner.judge(plan) if self.judges else None
 
     def _publish(self, frame: Frame) -> Frame:
         self.frame = frame
         self._publish_frame(frame)
         return frame
 
-    def _configure(self, config: PlannerConfig) -> None:
+    def _configure(self, config: DroneConfig) -> None:
         try:
-            self._planner.configure(config)
+            self._planner = reconfigured(self._planner, config, device=self._device, seed=self.seed)
         except Exception:
             # Otherwise every later tick would fail in the same way, and undo would return to it.
             self._configs.drop(config, self._config)
@@ -309,6 +321,16 @@ class Engine:
         """Release the source and the planner."""
         self.source.close()
         self._planner.close()
+
+
+def reconfigured(planner: Planner, config: DroneConfig, *, device: str, seed: int) -> Planner:
+    """Return a planner with another configuration: the same one, unless the configuration is for another planner."""
+    if config.planner == planner.config.planner:
+        planner.configure(config)
+        return planner
+    other = make(config, device=device, seed=seed)
+    planner.close()
+    return other
 
 
 def _row(times: NDArray[np.float64], time: float) -> int:

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Plan, PlannerConfig
-from aero_viz.session.source import Observation, RecordedPlan, SourceInfo
+from aero_planner.config import DroneConfig
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import Plan
+from aero_viz.session.source import RecordedPlan, SourceInfo
 from aero_viz.session.timeline import Checkpoint
 
 if TYPE_CHECKING:
@@ -30,7 +32,7 @@ class Frame:
     """Input of the planner."""
     plan: Plan
     """Output of the planner."""
-    config: PlannerConfig
+    config: DroneConfig
     """Configuration of the planner."""
     config_version: int
     """Number of configuration changes in the session so far."""
@@ -100,5 +102,6 @@ def end_sentence(name: str, outcome: str, explanation: str | None) -> str:
         "out_of_bounds": "left the world.",
         "timeout": "ran out of time.",
         "end": "end of the recording.",
+        "planner_failed": "ended.",
     }.get(outcome, outcome)
     return f"{name}: {ending} {explanation or ''}".rstrip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.session.config_history import ConfigHistory
 from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame
@@ -13,7 +13,7 @@ from aero_viz.session.timeline import Checkpoint
 
 
 def repeat(
-    source: Source, ticks: Iterable[tuple[Checkpoint, PlannerConfig]], *, device: str, seed: int
+    source: Source, ticks: Iterable[tuple[Checkpoint, DroneConfig]], *, device: str, seed: int
 ) -> Iterator[Frame]:
     """Yield the frames of ticks that a session has flown, see `Session.flown`. They are the same bit for bit.
 
@@ -23,10 +23,12 @@ def repeat(
         device: Warp device of the planner, that of the session.
         seed: seed of the session's planner.
     """
-    configs = ConfigHistory(PlannerConfig())
     engine: Engine | None = None
+    configs: ConfigHistory | None = None
     try:
         for checkpoint, config in ticks:
+            if configs is None:
+                configs = ConfigHistory(config)
             configs.change(config)
             if engine is None:
                 engine = Engine(source, configs=configs, device=device, seed=seed, publish=lambda _: None)

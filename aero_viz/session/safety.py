@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 
 if TYPE_CHECKING:
     from aero_viz.session.frame import Frame
@@ -23,9 +23,10 @@ def known_safe(frame: Frame) -> NDArray[np.bool_]:
         return frame.is_safe
     plan = frame.plan
     is_safe = np.ones(len(plan.kinds), dtype=np.bool_)
-    if frame.config.candidates.prefer_safe and plan.status == PlanStatus.OK:
-        is_safe &= plan.stage2_cost >= plan.stage2_cost[int(plan.best)]
-    elif frame.config.candidates.prefer_safe and plan.status == PlanStatus.NO_SAFE_CANDIDATE:
+    prefers_safe = not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
+    if prefers_safe and plan.status == PlanStatus.OK:
+        is_safe &= plan.cost >= plan.cost[int(plan.best)]
+    elif prefers_safe and plan.status == PlanStatus.NO_SAFE_CANDIDATE:
         is_safe[:] = False
     is_safe[int(plan.best)] = plan.status == PlanStatus.OK
     return is_safe

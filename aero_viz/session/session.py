@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_viz.session.base import BaseSession, SessionControls
 from aero_viz.session.clock import Clock
 from aero_viz.session.command_loop import USER_MISTAKES, CommandLoop
 from aero_viz.session.comparison import Comparison
 from aero_viz.session.config_history import ConfigHistory
-from aero_viz.session.engine import Engine
+from aero_viz.session.engine import PLANNER_FAILED, Engine
 from aero_viz.session.frame import Frame, end_sentence
 from aero_viz.session.source import Source, SourceInfo
 from aero_viz.session.timeline import Checkpoint
@@ -39,13 +39,13 @@ class Session(BaseSession):
 
     Args:
         source: provides sweeps and states; closed with the session.
-        config: configuration of the planner; None is the default.
+        config: configuration, which also says which planner it is for; None is the default of AERO-MPPI.
         device: Warp device of the planner.
         seed: seed of the planner's noise.
     """
 
     def __init__(
-        self, source: Source, *, config: PlannerConfig | None = None, device: str = "cpu", seed: int = 0
+        self, source: Source, *, config: DroneConfig | None = None, device: str = "cpu", seed: int = 0
     ) -> None:
         self._configs = ConfigHistory(config or PlannerConfig())
         super().__init__()
@@ -84,7 +84,7 @@ class Session(BaseSession):
         return self._engine.source.info
 
     @property
-    def config(self) -> PlannerConfig:
+    def config(self) -> DroneConfig:
         """Configuration of the next tick."""
         return self._configs.current[0]
 
@@ -104,6 +104,8 @@ class Session(BaseSession):
         def command() -> None:
             if self._engine.source.outcome is not None:
                 self._engine.seek(self.time_range[0])
+            elif self.frame is not None and self.frame.outcome == PLANNER_FAILED:
+                self._engine.seek(self.frame.time)  # it may go well now
             self._set_playing(True)
             self._clock.restart(self._engine.next_time)
 
@@ -196,7 +198,7 @@ class Session(BaseSession):
         source: Source,
         *,
         seed: int | None = None,
-        convert: Callable[[PlannerConfig], PlannerConfig] | None = None,
+        convert: Callable[[DroneConfig], DroneConfig] | None = None,
     ) -> Future[Any]:
         """Continue with another source, from its start. If its first tick fails, the current source stays.
 
@@ -245,11 +247,11 @@ class Session(BaseSession):
     def catch_up(self) -> Future[Any]:
         return self._post(lambda: None)
 
-    def flown(self) -> Future[list[tuple[Checkpoint, PlannerConfig]]]:
+    def flown(self) -> Future[list[tuple[Checkpoint, DroneConfig]]]:
         """Return every tick of the source so far, with the configuration of its last plan; see `repeat`."""
         return self._post(self._engine.flown)
 
-    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+    def configure(self, change: DroneConfig | Mapping[str, Any]) -> DroneConfig:
         """Use another configuration, or change some parameters of the current one, from the next tick on.
 
         Raises:
@@ -259,14 +261,14 @@ class Session(BaseSession):
         self._post(self._replan_if_changed)
         return config
 
-    def undo(self) -> PlannerConfig:
+    def undo(self) -> DroneConfig:
         """Take back the newest change of the configuration, or of the world at this tick; return the configuration."""
         if self._worlds.changed_at(self._world) <= self._configs.changed_at:
             return self._go_to_config(-1)
         self._post(lambda: self._alter(self._worlds.undo))
         return self.config
 
-    def redo(self) -> PlannerConfig:
+    def redo(self) -> DroneConfig:
         """Redo the change that was undone last, and return the configuration."""
         if self._worlds.undone_at(self._world) <= self._configs.undone_at:
             return self._go_to_config(+1)
@@ -277,7 +279,7 @@ class Session(BaseSession):
     def _world(self) -> World | None:
         return None if self.frame is None else self.frame.moving_world
 
-    def _go_to_config(self, step: int) -> PlannerConfig:
+    def _go_to_config(self, step: int) -> DroneConfig:
         config = self._configs.go(step)
         self._post(self._replan_if_changed)
         return config
@@ -295,7 +297,7 @@ class Session(BaseSession):
         """End the comparison."""
         return self._post(self.comparison.unpin)
 
-    def compare_with(self, config: PlannerConfig) -> Future[Any]:
+    def compare_with(self, config: DroneConfig) -> Future[Any]:
         """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
 
         def command() -> None:
@@ -347,7 +349,7 @@ class Session(BaseSession):
 
     def _tick(self) -> Frame:
         frame = self._engine.tick()
-        outcome = self._engine.source.outcome
+        outcome = self._engine.source.outcome or frame.outcome
         if outcome is not None:
             self._set_playing(False)
             if self._announced_epoch != frame.epoch:

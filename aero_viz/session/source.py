@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
@@ -10,73 +9,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import Goal, Plan, PlanStatus, Sweeps, VehicleState
-from aero_planner.stages.memory.parameters import memory_duration
+from aero_planner import PlanStatus
+from aero_viz.planners.observation import Observation
+from aero_viz.planners.plan import Plan
 from aero_viz.reader_process import Reader, read_here
 
 if TYPE_CHECKING:
-    from aero_planner import Planner, PlannerConfig
     from aero_viz.scenes import World
-
-
-@dataclass(frozen=True, eq=False)
-class Observation:
-    """Input of the planner at one tick."""
-
-    time: float
-    """Time since the start of the source [s]."""
-    state: VehicleState
-    """Estimated state, world frame."""
-    goal: Goal
-    """Goal, world frame."""
-    sweeps: Sweeps
-    """Last sweeps of the LiDAR, world frame [m]; rows with NaN or infinity are ignored."""
-    cloud_age: float = 0.0
-    """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
-    empty_is_clear: bool = False
-    """True if a sweep without points means that nothing is in range of the LiDAR, see `Planner.plan`."""
-    ground_height: float | None = None
-    """Height of the flat ground [m], world frame; None where there is none or it is unknown."""
-    true_state: VehicleState | None = None
-    """True state of a simulated vehicle; None for a recording."""
-    sweep_times: NDArray[np.float64] | None = None
-    """Time at the end of each sweep [s], oldest first; None where it is unknown."""
-    world: World | None = None
-    """World at this tick, where it can change; None where it is that of the source."""
-    conditions: Mapping[str, Any] | None = None
-    """Wind, noise and faults at this tick by path, such as "drone.gust_speed", where they can change."""
-    recall: Callable[[float], tuple[Sweeps, NDArray[np.float64]]] | None = None
-    """Returns the sweeps of the last seconds before this tick and their times, as long as the source stays there; None
-    where all that are known are in `sweeps`."""
-
-    def remembered(self, config: PlannerConfig) -> Observation:
-        """Return this observation with the sweeps that the configuration remembers, see `memory_duration`."""
-        if self.recall is None:
-            return self
-        sweeps, times = self.recall(memory_duration(config))
-        return dataclasses.replace(self, sweeps=sweeps, sweep_times=times, recall=None)
-
-    @property
-    def points(self) -> NDArray[np.float32]:
-        """Joined cloud [m], shape [P, 3], world frame; the same array as long as the sweeps are the same."""
-        return self.sweeps.points
-
-    def plan_with(self, planner: Planner, *, samples: bool = False) -> Plan:
-        """Return the plan of a planner for this observation; arguments and errors as for `Planner.plan`."""
-        return planner.plan(
-            self.state,
-            self.goal,
-            self.sweeps,
-            cloud_age=self.cloud_age,
-            empty_is_clear=self.empty_is_clear,
-            ground_height=self.ground_height,
-            samples=samples,
-        )
-
-    @property
-    def actual_state(self) -> VehicleState:
-        """The true state if it is known, otherwise the estimated one."""
-        return self.true_state or self.state
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import PlannerConfig
-from aero_planner.history import History
+from aero_planner.config import DroneConfig
 
 _CAPACITY = 30_000
 """Number of checkpoints kept: ten minutes of flight at 50 Hz."""
@@ -23,7 +23,7 @@ class Checkpoint:
     """Source time [s]."""
     source: object
     """Checkpoint of the source, before the tick's plan is flown."""
-    planner: History
+    planner: Any
     """State of the planner before the tick's plan."""
 
 
@@ -35,7 +35,7 @@ class Timeline:
 
     def __init__(self) -> None:
         self._checkpoints: list[Checkpoint] = []
-        self._configs: list[PlannerConfig | None] = []
+        self._configs: list[DroneConfig | None] = []
         """Configuration with which each tick was planned last."""
         self._discarded = 0
         self._cursor = -1
@@ -87,11 +87,11 @@ class Timeline:
         """Replace the source's part of the current checkpoint."""
         self._checkpoints[self._cursor] = dataclasses.replace(self.current, source=source)
 
-    def planned_with(self, config: PlannerConfig) -> None:
+    def planned_with(self, config: DroneConfig) -> None:
         """Record the configuration with which the current tick was planned."""
         self._configs[self._cursor] = config
 
-    def flown(self) -> list[tuple[Checkpoint, PlannerConfig]]:
+    def flown(self) -> list[tuple[Checkpoint, DroneConfig]]:
         """Return every tick that can be returned to, with the configuration of its last plan."""
         ticks = zip(self._checkpoints, self._configs, strict=True)
         return [(checkpoint, config) for checkpoint, config in ticks if config is not None]

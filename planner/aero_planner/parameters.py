@@ -337,8 +337,12 @@ class SectionedConfig:
         return getattr(getattr(self, info.section), info.name)
 
     def differences(self: Config, other: Config) -> dict[str, tuple[Value, Value]]:
-        """Return the values of each parameter that differs, by path: of this configuration and of the other one."""
-        pairs = {info.path: (self.get(info.path), other.get(info.path)) for info in self.parameters()}
+        """Return the values of each parameter that differs, by path: of this configuration and of the other one.
+
+        Parameters that only one of them has, because it is for another planner, are left out.
+        """
+        shared = (info.path for info in self.parameters() if info.path in other._by_path())
+        pairs = {path: (self.get(path), other.get(path)) for path in shared}
         return {path: pair for path, pair in pairs.items() if pair[0] != pair[1]}
 
     def to_dict(self) -> dict[str, dict[str, Value]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -105,6 +105,9 @@ class PlanArrays:
     array has a leading axis B.
     """
 
+    extensions: ClassVar[tuple[str, ...]] = ("cells", "anchors", "guides", "samples", "tracks")
+    """What it has besides candidate paths, their costs and the choice."""
+
     fine_range: Array
     """r_ij: nearest range of each fine cell, `PlannerConfig.farthest_range` where it is empty [m], shape [80, 160] by
     default, body frame. Rows are elevations from -90 deg, columns azimuths from -180 deg."""
@@ -190,6 +193,16 @@ class Plan(PlanArrays):
     """Number of points that were not finite."""
     drag: float | None = None
     """Deceleration per velocity that the plan counts on [1/s], see disturbance.drag_time. None as for `disturbance`."""
+
+    @property
+    def cost(self) -> Array:
+        """S2 of every instance, shape [M]."""
+        return self.stage2_cost
+
+    @property
+    def costs(self) -> dict[str, Array]:
+        """J_goal and J_col of every instance, by label, each of shape [M]."""
+        return {"goal": self.goal_cost, "collision": self.collision_cost}
 
     @property
     def command(self) -> Array:

@@ -14,8 +14,8 @@ from aero_viz.sensors import LIDARS
 
 
 def flags(config: str = "default", **costs: Any) -> ConfigFlags:
-    planner = ConfigFlags().planner
-    return ConfigFlags(config, type(planner)(costs=type(planner.costs)(**costs)))
+    planner = ConfigFlags().values
+    return ConfigFlags(config=config, values=type(planner)(costs=type(planner.costs)(**costs)))
 
 
 @pytest.mark.parametrize(
@@ -56,12 +56,12 @@ def test_a_file_keeps_the_defaults_that_it_does_not_set(tmp_path):
 
 
 def test_the_stages_and_the_model_have_flags(capsys: pytest.CaptureFixture[str]):
-    planner = ConfigFlags().planner
+    planner = ConfigFlags().values
     sections = {"stages": type(planner.stages)(active="memory,way_out"), "vehicle": type(planner.vehicle)(model="ctbr")}
-    config = ConfigFlags("default", type(planner)(**sections)).load()
+    config = ConfigFlags(values=type(planner)(**sections)).load()
     assert config.stages.names == ("way_out", "memory") and config.stages.active == "way_out, memory"
     with pytest.raises(UserError, match=r"stages.active has 'wayout' \(did you mean 'way_out'\?\); known: unseen"):
-        ConfigFlags("default", type(planner)(stages=type(planner.stages)(active="wayout"))).load()
+        ConfigFlags(values=type(planner)(stages=type(planner.stages)(active="wayout"))).load()
     code, text, _ = run(capsys, "fly", "--help")
     assert code == 0 and "--vehicle.model {ctbr,acceleration" in terminal_text(text)
     assert "inf]" not in terminal_text(text), "a text has no bounds"

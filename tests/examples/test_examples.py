@@ -17,6 +17,7 @@ OUTPUT = {
     "fly": r"forest.*: arrived after .*log: fly\.mcap, ",
     "fly_batch": r"q_track +5: \d of 2 arrived, .*q_track +15: \d of 2 arrived, ",
     "replay_recording": r"replay_recording\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
+    "own_planner": r"sidestep: arrived after \d+\.\d s, 0\.[3-9]\d m",
     "own_source": r"crossing ball: arrived after ",
     SERVED: r"http://127\.0\.0\.1:\d+",
     "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at a cost",

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines, relative_to_drone
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, full_plan, polylines, relative_to_drone
 from aero_viz.session.frame import Frame
 
 _RAMP = palette.unmapped((palette.ENDPOINT, palette.ANCHOR))
@@ -17,6 +17,7 @@ class AnchorLayer(Layer):
     """Initial endpoints, refined anchors, and a line from each endpoint to its anchor."""
 
     name, title = "anchors", "Endpoints and anchors"
+    needs = "anchors"
     keys = (ColorKey("initial endpoints", palette.ENDPOINT), ColorKey("refined anchors", palette.ANCHOR))
 
     def create(self, scene: viser.SceneApi) -> None:
@@ -32,8 +33,8 @@ class AnchorLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         count = frame.config.anchor_count
-        initial = relative_to_drone(frame.plan.initial_endpoints[:count], frame)
-        refined = relative_to_drone(frame.plan.anchors[:count], frame)
+        initial = relative_to_drone(full_plan(frame).initial_endpoints[:count], frame)
+        refined = relative_to_drone(full_plan(frame).anchors[:count], frame)
         return [
             (self._drone, "position", frame.drone_position),
             (self._initial, "points", initial),
@@ -46,6 +47,7 @@ class GuideLayer(Layer):
     """Quintic guides to the anchors."""
 
     name, title = "guides", "Guides"
+    needs = "guides"
     keys = (ColorKey("guides", palette.GUIDE),)
 
     def create(self, scene: viser.SceneApi) -> None:
@@ -53,5 +55,5 @@ class GuideLayer(Layer):
         self._lines = Lines(scene, "/guides/drone/lines", thickness=1.2, capacity=512)
 
     def update(self, frame: Frame) -> list[Change]:
-        guides = relative_to_drone(frame.plan.guides[: frame.config.anchor_count], frame)
+        guides = relative_to_drone(full_plan(frame).guides[: frame.config.anchor_count], frame)
         return [(self._drone, "position", frame.drone_position), *self._lines.show(polylines(guides), _GUIDE)]

@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 import viser
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import PlannerConfig
+from aero_planner import Plan as EnsemblePlan
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import FlightHistory
+from aero_viz.planners.plan import lacks
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -87,7 +89,7 @@ class Option:
     """A choice that a layer offers on the page, as a dropdown."""
 
     label: str
-    choices: Callable[[PlannerConfig], Sequence[str]]
+    choices: Callable[[DroneConfig], Sequence[str]]
     """Returns the choices under a configuration."""
     value: str
     """The current choice."""
@@ -105,6 +107,8 @@ class Layer:
     """Legend entries that are the same for all frames."""
     on_by_default: ClassVar[bool] = True
     """True if the layer is visible when the page opens."""
+    needs: ClassVar[str] = ""
+    """Extension of a plan that the layer draws, of `planners.plan.EXTENSIONS`; empty for what all plans have."""
     needs_samples: ClassVar[bool] = False
     """True if the layer draws the Stage I samples, which frames include only on request."""
 
@@ -170,8 +174,14 @@ class Layer:
         """Return the changes that show the constants of another source."""
         return []
 
+    def show(self, frame: Frame) -> list[Change]:
+        """Return the changes that show `frame` if the layer is visible, and its plan has what the layer draws."""
+        if self.needs:
+            self.available = not lacks(frame.plan, self.needs)
+        return self.update(frame) if self.visible and (self.available or not self.needs) else []
+
     def update(self, frame: Frame) -> list[Change]:
-        """Return the changes that show `frame`."""
+        """Return the changes that show `frame`, whose plan has what the layer needs."""
         return []
 
     def legend(self, frame: Frame) -> Sequence[ColorKey | ColorScale]:
@@ -234,6 +244,11 @@ class Lines:
             buffer[count:] = buffer[count - 1, 1]
             changes.append((self.node, "colors", buffer))
         return changes
+
+
+def full_plan(frame: Frame) -> EnsemblePlan:
+    """Return the plan of a frame for a layer that needs an extension, and is shown only if the plan has it."""
+    return cast(EnsemblePlan, frame.plan)
 
 
 def relative_to_drone(positions: ArrayLike, frame: Frame) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Plan
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines
+from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines, full_plan
 from aero_viz.session.frame import Frame
 
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
@@ -47,7 +47,7 @@ class CellPatches:
 
     def show(self, frame: Frame, ranges: NDArray[np.floating[Any]], shown: NDArray[np.bool_]) -> list[Change]:
         """Return the changes that show some cells at their ranges [m]; both are of shape [rows * columns, 1]."""
-        shape = frame.plan.fine_range.shape
+        shape = full_plan(frame).fine_range.shape
         changes = _pose(self._pose, frame)
         if shape != self._shape:
             self._shape = shape
@@ -72,19 +72,20 @@ class FineCellLayer(Layer):
     """
 
     name, title, on_by_default = "fine_cells", "Occupied cells", False
+    needs = "cells"
     keys = (ColorKey("occupied, continued: not measured", palette.CONTINUED),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._patches = CellPatches(scene, "/fine_cells", opacity=0.85)
 
     def update(self, frame: Frame) -> list[Change]:
-        ranges, reach = frame.plan.fine_range.reshape(-1, 1), frame.config.farthest_range
+        ranges, reach = full_plan(frame).fine_range.reshape(-1, 1), frame.config.farthest_range
         colors = palette.colorize(ranges[:, 0], 0.0, reach, _RANGE)
         colors[is_continued(frame)[:, 0]] = _CONTINUED_LIT
         return [*self._patches.show(frame, ranges, is_occupied(frame)), (self._patches.node, "batched_colors", colors)]
 
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
-        is_known = frame.plan.continued_cells is not None
+        is_known = full_plan(frame).continued_cells is not None
         label = "occupied, measured: range" if is_known else "occupied cells, with continued surfaces: range"
         scale = ColorScale(label, "0 m", f"{frame.config.farthest_range:g} m", palette.NEAR_TO_FAR)
         return [scale, *self.keys] if is_continued(frame).any() else [scale]
@@ -98,6 +99,7 @@ class UnseenCellLayer(Layer):
     """
 
     name, title, on_by_default = "unseen_cells", "Unseen cells", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._patches = CellPatches(scene, "/unseen_cells", opacity=0.5)
@@ -123,6 +125,7 @@ class CoarseCellLayer(Layer):
     """
 
     name, title, on_by_default = "coarse_cells", "Coarse cells and safe directions", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._pose = scene.add_frame("/coarse_cells/body", show_axes=False)
@@ -131,7 +134,7 @@ class CoarseCellLayer(Layer):
         self._directions = Lines(scene, "/coarse_cells/body/directions", thickness=2.5, capacity=256)
 
     def update(self, frame: Frame) -> list[Change]:
-        ranges, directions = frame.plan.safe_range, frame.plan.safe_direction
+        ranges, directions = full_plan(frame).safe_range, full_plan(frame).safe_direction
         changes = _pose(self._pose, frame)
         if ranges.shape != self._shape:
             self._shape = ranges.shape
@@ -139,7 +142,7 @@ class CoarseCellLayer(Layer):
         reach = frame.config.farthest_range
         start = _SPHERE * directions.reshape(-1, 3)
         share = ranges.reshape(-1, 1) / reach
-        colors = palette.colorize(mean_ranges(frame.plan).reshape(-1), 0.0, reach, _FREE)
+        colors = palette.colorize(mean_ranges(full_plan(frame)).reshape(-1), 0.0, reach, _FREE)
         colors[anchor_cells(frame)] = _ANCHOR
         colors = colors[:, None, :]
         return [*changes, *self._directions.show(np.stack((start, start * (1.0 + 0.5 * share)), axis=1), colors)]
@@ -162,9 +165,9 @@ def mean_ranges(plan: Plan) -> NDArray[np.float64]:
 
 def anchor_cells(frame: Frame) -> NDArray[np.int64]:
     """Return the coarse cells, counted row by row, that hold the anchor directions before the refinement."""
-    rows, columns = frame.plan.safe_range.shape
+    rows, columns = full_plan(frame).safe_range.shape
     state = frame.observation.state
-    offset = frame.plan.initial_endpoints[: frame.config.anchor_count] - np.asarray(state.position)
+    offset = full_plan(frame).initial_endpoints[: frame.config.anchor_count] - np.asarray(state.position)
     return np.unique(cells_of(np.asarray(offset, dtype=np.float64), state.quaternion, (rows, columns)))
 
 
@@ -185,7 +188,7 @@ def cells_of(directions: NDArray[np.float64], quaternion: ArrayLike, shape: tupl
 
 def is_occupied(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells with a point or a continued surface, row by row, shape [rows * columns, 1]."""
-    return frame.plan.fine_range.reshape(-1, 1) < frame.config.farthest_range - 1e-4
+    return full_plan(frame).fine_range.reshape(-1, 1) < frame.config.farthest_range - 1e-4
 
 
 def is_continued(frame: Frame) -> NDArray[np.bool_]:
@@ -193,8 +196,8 @@ def is_continued(frame: Frame) -> NDArray[np.bool_]:
 
     False for all of them where the plan does not say so.
     """
-    continued = frame.plan.continued_cells
-    return np.zeros((frame.plan.fine_range.size, 1), np.bool_) if continued is None else continued.reshape(-1, 1)
+    continued = full_plan(frame).continued_cells
+    return np.zeros((full_plan(frame).fine_range.size, 1), np.bool_) if continued is None else continued.reshape(-1, 1)
 
 
 def is_unseen(frame: Frame) -> NDArray[np.bool_]:
@@ -209,7 +212,7 @@ def is_ground_known(frame: Frame) -> bool:
 
 def is_in_view(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells whose centre the sensor can see now, row by row, shape [rows * columns, 1]."""
-    _, elevation = _centers(frame.plan.fine_range.shape)
+    _, elevation = _centers(full_plan(frame).fine_range.shape)
     view = frame.config.unseen_space
     return ((elevation >= np.radians(view.view_min)) & (elevation <= np.radians(view.view_max)))[:, None]
 

@@ -6,6 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
+from aero_planner import PlannerConfig
 from aero_planner.sweeps import Sweeps
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Option, view_targets
@@ -14,6 +15,10 @@ from aero_viz.session.frame import Frame
 _MOST_POINTS = 24_000
 _STEP = 4096
 """The size of the buffer is a multiple of this, so that it rarely changes."""
+
+
+_REACH = 20.0
+"""Range of the last colour for planners that do not say how far they look [m]."""
 
 
 class CloudLayer(Layer):
@@ -42,7 +47,7 @@ class CloudLayer(Layer):
         if self.color_by.value == "range":
             origin = np.asarray(frame.observation.state.position, dtype=np.float32)
             ranges = np.linalg.norm(points - origin, axis=1)
-            reach = frame.config.farthest_range
+            reach = frame.config.farthest_range if isinstance(frame.config, PlannerConfig) else _REACH
             colors = palette.colorize(ranges, 0.0, reach, palette.NEAR_TO_FAR)
             self._scale = ColorScale("cloud: range", "0 m", f"{reach:g} m and more", palette.NEAR_TO_FAR)
         else:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aero_planner.stages.moving_obstacles.tracks import GROWTH
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 _MOVING = palette.unmapped(palette.MOVING)
@@ -21,6 +22,7 @@ class MotionLayer(Layer):
     """A ring around each dynamic obstacle at the height of the drone, and where it will be at the end of the plan."""
 
     name, title = "motion", "Dynamic obstacles"
+    needs = "tracks"
     keys = (ColorKey("dynamic obstacles, predicted", palette.MOVING),)
 
     def create(self, scene: viser.SceneApi) -> None:
@@ -30,12 +32,13 @@ class MotionLayer(Layer):
         return self._lines.show(_rings(frame), _MOVING)
 
     def legend(self, frame: Frame) -> Sequence[ColorKey]:
-        return self.keys if frame.plan.moving is not None and len(frame.plan.moving.radii) else ()
+        return self.keys if len(_rings(frame)) else ()
 
 
 def _rings(frame: Frame) -> NDArray[np.float32]:
     """Return the segments of the rings and of the line between the two rings of each obstacle [m], shape [n, 2, 3]."""
-    moving, config = frame.plan.moving, frame.config
+    plan, config = ensemble(frame.plan), frame.config
+    moving = None if plan is None else plan.moving
     if moving is None or not len(moving.radii):
         return np.zeros((0, 2, 3), np.float32)
     height = np.asarray(frame.observation.actual_state.position)[2]

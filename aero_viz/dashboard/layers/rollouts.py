@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from aero_planner import Plan, PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import (
@@ -21,6 +21,7 @@ from aero_viz.dashboard.layers.base import (
     polylines,
     relative_to_drone,
 )
+from aero_viz.planners.plan import Plan, ensemble
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
 
@@ -33,12 +34,17 @@ def cost_scale(plan: Plan, *, by: str = "rank") -> NDArray[np.float64]:
     Costs range from tens to 1e7 with collisions and differ by 0.1 % without. "rank" therefore spaces them evenly; "log
     cost" spaces them by log(1 + S2 - min S2).
     """
-    cost = np.asarray(plan.stage2_cost, dtype=np.float64)
+    cost = np.asarray(plan.cost, dtype=np.float64)
     if by == "rank":
         place = np.argsort(np.argsort(cost, kind="stable"), kind="stable").astype(np.float64)
     else:
         place = np.log1p(cost - cost.min())
     return 1.0 - place / max(place.max(), 1e-9)
+
+
+def cost_name(plan: Plan) -> str:
+    """Return what the whole cost of a plan is called."""
+    return "Cost" if ensemble(plan) is None else "Stage II cost S2"
 
 
 class RolloutLayer(Layer):
@@ -69,9 +75,9 @@ class RolloutLayer(Layer):
         ]
 
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
-        cost = frame.plan.stage2_cost
+        cost = frame.plan.cost
         quantity = "rank" if self.color_by.value == "rank" else "logarithm"
-        label = f"rollouts: {quantity} of the Stage II cost"
+        label = f"rollouts: {quantity} of the {'Stage II cost' if ensemble(frame.plan) else 'cost'}"
         return [
             ColorScale(label, f"worst: {cost_text(cost.max())}", f"best: {cost_text(cost.min())}", palette.COST),
             ColorKey("chosen rollout", palette.CHOSEN),
@@ -82,25 +88,26 @@ class RolloutLayer(Layer):
         scale = cost_scale(plan, by=self.color_by.value)
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
         height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
-        others = plan.stage2_cost - plan.goal_cost - plan.collision_cost
+        terms = {**plan.costs, "other terms": plan.cost - sum(plan.costs.values())}
         clearance, is_faint = plan.clearance.min(axis=1), ~known_safe(frame)
+        name = "cost" if ensemble(plan) is None else "S2"
         bars = [
             Bar(
                 height=float(height[i]),
-                tooltip=f"{i} {kind}: S2 {cost_text(plan.stage2_cost[i])} = goal {cost_text(plan.goal_cost[i])} + "
-                f"collision {cost_text(plan.collision_cost[i])} + other terms {cost_text(others[i])}; "
-                f"clearance of the plan {clearance[i]:.2f} m{_origin(frame, i)}",
+                tooltip=f"{i} {kind}: {name} {cost_text(plan.cost[i])} = "
+                + " + ".join(f"{term} {cost_text(values[i])}" for term, values in terms.items())
+                + f"; clearance of the plan {clearance[i]:.2f} m{_origin(frame, i)}",
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
                 is_faint=bool(is_faint[i]),
             )
             for i, kind in enumerate(plan.kinds)
         ]
-        label = "Stage II cost S2 (log): shorter is better among safe candidates; faint: unsafe"
+        label = f"{cost_name(plan)} (log): shorter is better among safe candidates; faint: unsafe"
         summary = f"chosen: instance {best}, {plan.kinds[best]}{_origin(frame, best)}"
         if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
             # Without prefer_safe, only the candidate with the lowest S2 is considered.
-            is_any_considered = frame.config.candidates.prefer_safe
+            is_any_considered = not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
             summary += "; no candidate is safe" if is_any_considered else "; the cheapest candidate is not safe"
         return BarChart(label, summary, bars)
 

@@ -6,8 +6,18 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorScale, Layer, Lines, Option, polylines, relative_to_drone
+from aero_viz.dashboard.layers.base import (
+    Change,
+    ColorScale,
+    Layer,
+    Lines,
+    Option,
+    full_plan,
+    polylines,
+    relative_to_drone,
+)
 from aero_viz.session.frame import Frame
 
 _CHOSEN = "the chosen one"
@@ -18,6 +28,7 @@ class SampleLayer(Layer):
     """The K Stage I rollouts of one instance, coloured by the rank of their cost."""
 
     name, title, on_by_default, needs_samples = "samples", "Stage I samples", False, True
+    needs = "samples"
 
     def create(self, scene: viser.SceneApi) -> None:
         self.instance = Option("Instance", _instances, _CHOSEN, hint="Instance whose samples are drawn.")
@@ -26,7 +37,7 @@ class SampleLayer(Layer):
         self._lines = Lines(scene, "/samples/drone/lines", thickness=1.0, capacity=4096)
 
     def update(self, frame: Frame) -> list[Change]:
-        plan, chosen = frame.plan, self.instance.value
+        plan, chosen = full_plan(frame), self.instance.value
         if plan.samples is None:
             return self._lines.show(np.zeros((0, 2, 3)), _COLORS[0])
         instance = int(plan.best) if chosen == _CHOSEN else min(int(chosen.split()[0]), len(plan.samples) - 1)
@@ -40,5 +51,6 @@ class SampleLayer(Layer):
         return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:])]
 
 
-def _instances(config: PlannerConfig) -> tuple[str, ...]:
-    return (_CHOSEN, *(f"{i} {kind}" for i, kind in enumerate(config.kinds)))
+def _instances(config: DroneConfig) -> tuple[str, ...]:
+    kinds = config.kinds if isinstance(config, PlannerConfig) else ()
+    return (_CHOSEN, *(f"{i} {kind}" for i, kind in enumerate(kinds)))

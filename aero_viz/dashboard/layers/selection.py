@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines, relative_to_drone
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 _COLOR = palette.unmapped(palette.SELECTED)
@@ -35,17 +36,19 @@ class SelectionLayer(Layer):
     def update(self, frame: Frame) -> list[Change]:
         plan, m, empty = frame.plan, self.instance, np.zeros((0, 2, 3))
         is_there = m is not None and m < len(plan.kinds)
-        rollout, guide = (plan.positions[m], plan.guides[m]) if is_there else (None, None)
+        rollout = plan.positions[m] if is_there else None
+        full = ensemble(plan) if is_there else None
+        guide = None if full is None else full.guides[m]
         anchor, point = self._marks
         changes = [
             (self._drone, "position", frame.drone_position),
             *self._rollout.show(empty if rollout is None else polylines(relative_to_drone(rollout, frame)), _COLOR),
             *self._guide.show(empty if guide is None else polylines(relative_to_drone(guide, frame)), _COLOR),
-            (anchor, "visible", is_there),
+            (anchor, "visible", full is not None),
             (point, "visible", self.point is not None),
         ]
-        if is_there:
-            changes.append((anchor, "position", plan.anchors[m] - frame.drone_position))
+        if full is not None:
+            changes.append((anchor, "position", full.anchors[m] - frame.drone_position))
         if self.point is not None:
             changes.append((point, "position", self.point))
         return changes

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from aero_planner.stages.stop_proof.stops import ALWAYS_SEEN
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, full_plan
 from aero_viz.dashboard.layers.cells import cells_of, is_unseen
 from aero_viz.session.frame import Frame
 
@@ -29,6 +29,7 @@ class OccludedSpaceLayer(Layer):
     """
 
     name, title, on_by_default = "occluded_space", "Occluded space", False
+    needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
         self._drone = scene.add_frame("/occluded_space/drone", show_axes=False)
@@ -42,8 +43,8 @@ class OccludedSpaceLayer(Layer):
 
     def update(self, frame: Frame) -> list[Change]:
         state, reach = frame.observation.state, frame.config.farthest_range
-        cells = cells_of(_MIDDLES, state.quaternion, frame.plan.fine_range.shape)
-        seen = np.maximum(frame.plan.fine_range.ravel()[cells], _NEAREST)
+        cells = cells_of(_MIDDLES, state.quaternion, full_plan(frame).fine_range.shape)
+        seen = np.maximum(full_plan(frame).fine_range.ravel()[cells], _NEAREST)
         assumed = np.where(is_unseen(frame)[cells, 0], seen, _NEAREST)
         return [
             (self._drone, "position", np.asarray(state.position)),

@@ -11,7 +11,7 @@ from typing import Any
 
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
@@ -74,7 +74,7 @@ class Page:
         if controls is not None:
             controls.set_samples(any(layer.needs_samples and layer.visible for layer in self.layers.values()))
 
-    def config_for_flight(self, config: PlannerConfig) -> PlannerConfig:
+    def config_for_flight(self, config: DroneConfig) -> DroneConfig:
         """Return `config` with the facts of the flight that is shown."""
         frame = self.session.frame
         return config if frame is None else config_for_flight(config, frame.source)

@@ -22,6 +22,7 @@ from aero_viz.dashboard.palette import css
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, LABELS, FlightFigures
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 
 _WIDTH, _HEIGHT = 300, 46
@@ -82,6 +83,10 @@ CURVES = (
 )  # fmt: skip
 
 
+_COST_COLUMNS = ("cost", "goal_cost", "collision_cost", "third_cost", "fourth_cost")
+"""Columns of the cost and its terms, in the order of `Plan.costs`."""
+
+
 class ChartPanel(Panel):
     """Curves of every tick, the events of the flight, and the future that was left where the flight forked."""
 
@@ -98,7 +103,9 @@ class ChartPanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 curves = [curve for curve in CURVES if self._picked.value in ("all curves", curve.label)]
-                content = table(self.page.history.past().rows, curves)
+                frame = self.session.frame
+                named = curves if frame is None else [_named(curve, frame) for curve in curves]
+                content = table(self.page.history.past().rows, named)
                 event.client.send_file_download("flight.csv", content.encode(), save_immediately=True)
 
     def update(self, frame: Frame) -> list[Change]:
@@ -117,9 +124,11 @@ class ChartPanel(Panel):
 def table(rows: Array, curves: Sequence[Curve]) -> str:
     """Return rows of a history as CSV: the time and the columns of some curves. Unknown values are empty cells."""
     columns = ["time", *dict.fromkeys(column for curve in curves for column in curve.columns)]
+    terms = [(curve.columns[1:], curve.names[1:]) for curve in curves if curve.columns[0] == "cost"]
+    heads = {column: f"{name}_cost" for pair in terms for column, name in zip(*pair, strict=True)}
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
+    writer.writerow([heads.get(column, column) for column in columns])
     values = rows[:, [COLUMNS.index(name) for name in columns]]
     writer.writerows([["" if np.isnan(value) else f"{value:.9g}" for value in row] for row in values])
     return text.getvalue()
@@ -160,8 +169,8 @@ def _drawing(past: Past, frame: Frame) -> str:
     gap = max(_GAP, 10.0 * frame.source.period)
     at = int(np.clip(np.searchsorted(past.rows[:, 0], frame.time + 1e-9) - 1, 0, len(past.rows) - 1))
     cursor = (frame.time - span[0]) / max(span[1] - span[0], 1e-9) * _WIDTH
-    curves = [curve for curve in (_known(curve, past.rows) for curve in CURVES) if curve.columns]
-    parts = [_curve(_named(curve, frame), past, span, gap, at) for curve in curves]
+    curves = [curve for curve in (_known(_named(curve, frame), past.rows) for curve in CURVES) if curve.columns]
+    parts = [_curve(curve, past, span, gap, at) for curve in curves]
     height = len(curves) * (_HEIGHT + 18)
     marks = "".join(_mark(event, span) for event in past.events)
     difference = ""
@@ -192,7 +201,14 @@ def _known(curve: Curve, rows: Array) -> Curve:
 
 
 def _named(curve: Curve, frame: Frame) -> Curve:
-    """Return a curve with the label that suits the source: only a flight in a world knows the true clearance."""
+    """Return a curve with the label that suits the source and the planner.
+
+    Only a flight in a world knows the true clearance, and the terms of the cost are those of the planner.
+    """
+    if curve.columns[0] == "cost" and ensemble(frame.plan) is None:
+        names = ("all", *frame.plan.costs)[: len(_COST_COLUMNS)]
+        columns, colors = _COST_COLUMNS[: len(names)], (*curve.colors, palette.NOSE, palette.RECORDED)[: len(names)]
+        return dataclasses.replace(curve, label="chosen cost (log)", columns=columns, colors=colors, names=names)
     if curve.columns != ("clearance",):
         return curve
     label = "true clearance [m]" if is_clearance_true(frame) else "clearance to the cloud [m]"

@@ -8,6 +8,7 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig, PlanStatus
+from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard.history import Past
@@ -15,8 +16,10 @@ from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.charts import flight_table
+from aero_viz.dashboard.panels.status import clearance_text
 from aero_viz.explain.crossed_costs import ChoiceCost, CrossedCosts, crossed_costs
 from aero_viz.explain.evidence import Replanner
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
@@ -107,7 +110,7 @@ class ComparePanel(Panel):
         self._costs = crossed_costs(self._replan, *frames)
         self.page.refresh()
 
-    def _tables(self, frame: Frame, past: Past, pinned: PlannerConfig) -> list[str]:
+    def _tables(self, frame: Frame, past: Past, pinned: DroneConfig) -> list[str]:
         a = past.alternative_to(frame)
         parts = [parameter_table(pinned, self.session.config)]
         if a is not None:
@@ -124,12 +127,12 @@ class ComparePanel(Panel):
         return parts
 
 
-def parameter_table(a: PlannerConfig, b: PlannerConfig) -> str:
+def parameter_table(a: DroneConfig, b: DroneConfig) -> str:
     """Return the parameters in which A and B differ as HTML."""
     differences = a.differences(b)
     if not differences:
         return markup.muted("A and B are the same configuration: move a slider below to change B.")
-    rows = [(PlannerConfig.find(path).title, f"{old}", f"{new}") for path, (old, new) in differences.items()]
+    rows = [(a.find(path).title, f"{old}", f"{new}") for path, (old, new) in differences.items()]
     return markup.columns(("parameter", "A", "B"), rows, tooltips=list(differences))
 
 
@@ -141,11 +144,9 @@ def tick_table(a: Frame, b: Frame, costs: CrossedCosts | None = None) -> str:
         b: frame of B.
         costs: costs of both choices by the weights of each; None leaves them out.
     """
-    labels = (
-        "chosen instance", "clearance of the plan [m]", "speed at its end [m/s]", "safe candidates",
-        "candidates with clearance", "plan time [ms]",
-    )  # fmt: skip
-    rows = list(zip(labels, _plan(a), _plan(b), strict=True))
+    figures = [_plan(frame) for frame in (a, b)]
+    labels = dict.fromkeys(label for plan in figures for label in plan)
+    rows = [(label, *(plan.get(label, "") for plan in figures)) for label in labels]
     if costs is not None:
         for name, choices in (("A", costs.by_a), ("B", costs.by_b)):
             rows += _cost_rows(name, choices)
@@ -162,19 +163,20 @@ def _cost_rows(name: str, choices: tuple[ChoiceCost, ChoiceCost]) -> list[tuple[
     return [(label if i == 0 else f"· {label}", cost_text(x), cost_text(y)) for i, (label, x, y) in enumerate(rows)]
 
 
-def _plan(frame: Frame) -> tuple[str, ...]:
-    plan, best = frame.plan, int(frame.plan.best)
-    clearance, reach = float(plan.clearance[best].min()), frame.config.costs.distance_max
-    is_beyond = clearance >= reach - 1e-4
-    clear = np.count_nonzero(plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance)
-    return (
-        f"{best} {plan.kinds[best]}",
-        f"≥ {reach:.2f}" if is_beyond else f"{clearance:.2f}",
-        f"{np.linalg.norm(plan.velocities[best, -1]):.2f}",
-        _safe_count(frame),
-        f"{clear} of {len(plan.kinds)}",
-        f"{frame.timings_ms.get('plan', 0.0):.1f}",
-    )
+def _plan(frame: Frame) -> dict[str, str]:
+    """Return the figures of a plan by their labels, with its costs if its planner cannot weigh those of other plans."""
+    plan, best, config = frame.plan, int(frame.plan.best), frame.config
+    figures = {"chosen instance": f"{best} {plan.kinds[best]}"}
+    if ensemble(plan) is None:
+        figures["cost"] = cost_text(float(plan.cost[best]))
+        figures |= {f"· {name}": cost_text(float(cost[best])) for name, cost in plan.costs.items()}
+    figures["clearance of the plan [m]"] = clearance_text(frame).replace("≥", "≥ ")
+    figures["speed at its end [m/s]"] = f"{np.linalg.norm(plan.velocities[best, -1]):.2f}"
+    figures["safe candidates"] = _safe_count(frame)
+    if isinstance(config, PlannerConfig):
+        clear = np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance)
+        figures["candidates with clearance"] = f"{clear} of {len(plan.kinds)}"
+    return figures | {"plan time [ms]": f"{frame.timings_ms.get('plan', 0.0):.1f}"}
 
 
 def _safe_count(frame: Frame) -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import viser
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.config.file import ConfigFile, format_changes, format_config
 from aero_planner.onboard.flight_config import format_onboard, load_flight_config
 from aero_planner.onboard.settings import OnboardConfig
@@ -21,6 +22,7 @@ from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
 from aero_viz.dashboard.preset_store import PresetStore
 from aero_viz.dashboard.server import notify
 from aero_viz.flight.known_drone import config_without_facts
+from aero_viz.planners.registry import name_of
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -40,14 +42,13 @@ class Baseline:
     """
 
     name: str
-    config: PlannerConfig
+    config: DroneConfig
 
     @classmethod
-    def from_config(cls, config: PlannerConfig) -> Baseline:
+    def from_config(cls, config: DroneConfig) -> Baseline:
         """Return the preset that equals `config`, or the default."""
-        names = PlannerConfig.presets()
-        name = next((name for name in names if PlannerConfig.preset(name) == config), "default")
-        return cls(name, PlannerConfig.preset(name))
+        name = config.preset_name if config.preset_name in config.presets() else "default"
+        return cls(name, config.preset(name))
 
 
 class ConfigurationPanel(Panel):
@@ -68,7 +69,7 @@ class ConfigurationPanel(Panel):
     ) -> None:
         self._controls = controls
         self._baseline = baseline
-        self._store = store or PresetStore()
+        self._store = store or PresetStore(kind=type(page.session.config))
         self._saved = self._store.names()
         super().__init__(page)
 
@@ -76,7 +77,7 @@ class ConfigurationPanel(Panel):
         self._onboard = OnboardConfig()
         self._shown: tuple[object, ...] = (None,) * 5
         self._changes: list[Change] = []
-        hint = " ".join(f"{name}: {help}" for name, help in PlannerConfig.presets().items())
+        hint = " ".join(f"{name}: {help}" for name, help in self.session.config.presets().items())
         self._preset = gui.add_dropdown("Preset", self._names(), initial_value=_CHANGED, hint=hint)
         self.differences = gui.add_html("")
         """Parameters that differ from the preset, as flags and as YAML."""
@@ -152,13 +153,13 @@ class ConfigurationPanel(Panel):
                 self.page.server.hide_upload(event.client)
 
     def _names(self) -> tuple[str, ...]:
-        return (*PlannerConfig.presets(), *self._saved, _CHANGED)
+        return (*self.session.config.presets(), *self._saved, _CHANGED)
 
     def _choose(self, name: str, client: viser.ClientHandle) -> None:
         """Use a preset, and ask whether to move the goal if it was saved with another one."""
         goal = None
-        if name in PlannerConfig.presets():
-            config = PlannerConfig.preset(name)
+        if name in self.session.config.presets():
+            config = self.session.config.preset(name)
         else:
             saved = self._store.load(name)
             config, goal = saved.config, saved.goal
@@ -215,14 +216,14 @@ class ConfigurationPanel(Panel):
         notify(self.page.server, f"The preset {name!r} was deleted.", client=client)
         self._saved = self._store.names()
         if self._baseline.name == name:
-            self._baseline.name, self._baseline.config = "default", PlannerConfig()
+            self._baseline.name, self._baseline.config = "default", type(self.session.config)()
 
     def _load(self, file: viser.UploadedFile) -> None:
-        config, onboard = parse_upload(file)
+        config, onboard = parse_upload(file, type(self.session.config))
         self._controls.configure(self.page.config_for_flight(config))
         self._onboard = onboard
 
-    def _config(self) -> PlannerConfig:
+    def _config(self) -> DroneConfig:
         """Return the configuration without the facts of this flight, which do not apply to another one."""
         frame = self.session.frame
         return self.session.config if frame is None else config_without_facts(self.session.config, frame.source)
@@ -233,9 +234,9 @@ class ConfigurationPanel(Panel):
             self._shown, self._changes = shown, self._show(self._config(), self._baseline)
         return self._changes
 
-    def _show(self, config: PlannerConfig, baseline: Baseline) -> list[Change]:
+    def _show(self, config: DroneConfig, baseline: Baseline) -> list[Change]:
         names = self._names()
-        name = next((name for name in PlannerConfig.presets() if PlannerConfig.preset(name) == config), _CHANGED)
+        name = config.preset_name if config.preset_name in config.presets() else _CHANGED
         if baseline.config == config and baseline.name in names:
             name = baseline.name
         return [
@@ -245,12 +246,12 @@ class ConfigurationPanel(Panel):
         ]
 
 
-def differences(config: PlannerConfig, baseline: Baseline) -> str:
+def differences(config: DroneConfig, baseline: Baseline) -> str:
     """Return the differences from a preset as HTML: labels, old and new values, and the text of flags and of a file."""
     changed = baseline.config.differences(config)
     if not changed:
         return ""
-    rows = [(PlannerConfig.find(path).title, f"{old} → {new}", path) for path, (old, new) in changed.items()]
+    rows = [(config.find(path).title, f"{old} → {new}", path) for path, (old, new) in changed.items()]
     heading = markup.heading(f"differs from {baseline.name}", f"{len(changed)}")
     start = Baseline.from_config(baseline.config)  # what the program knows by its name; a saved preset is written out
     return markup.block(
@@ -261,8 +262,9 @@ def differences(config: PlannerConfig, baseline: Baseline) -> str:
     )
 
 
-def _flags(config: PlannerConfig, start: Baseline) -> str:
-    base = [] if start.name == "default" else ["--config", start.name]
+def _flags(config: DroneConfig, start: Baseline) -> str:
+    base = [] if config.planner == PlannerConfig.planner else ["--planner", name_of(config)]
+    base += [] if start.name == "default" else ["--config", start.name]
     changed = start.config.differences(config)
     changes = [word for path, (_, new) in changed.items() for word in (f"--{path.replace('_', '-')}", str(new))]
     return shlex.join([*base, *changes])
@@ -275,8 +277,10 @@ def _copyable(name: str, text: str) -> str:
     return f'{button}<code class="aero-{name}" style="{style}">{markup.text(text)}</code>'
 
 
-def parse_upload(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig]:
-    """Return the planner's and the node's settings in a file that a browser sent.
+def parse_upload(
+    file: viser.UploadedFile, kind: type[DroneConfig] = PlannerConfig
+) -> tuple[DroneConfig, OnboardConfig]:
+    """Return the planner's and the node's settings in a file that a browser sent, for the planner of `kind`.
 
     Raises:
         ValueError: the file is malformed or sets nothing; names the file as the user knows it.
@@ -288,6 +292,8 @@ def parse_upload(file: viser.UploadedFile) -> tuple[PlannerConfig, OnboardConfig
         try:
             if not ConfigFile.read(path).entries:
                 raise ValueError(f"{path} sets nothing; the configuration stays. Press 'reset all' for the default.")
-            return load_flight_config(path)
+            if kind is PlannerConfig:
+                return load_flight_config(path)
+            return ConfigFile.read(path).planner_config(kind), OnboardConfig()
         except ValueError as error:
             raise ValueError(str(error).replace(str(path), name)) from error

@@ -9,7 +9,9 @@ from typing import Any
 import viser
 
 from aero_viz.dashboard.layers import Change, Layer, Option
+from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
+from aero_viz.planners.plan import lacks
 from aero_viz.session.frame import Frame
 
 _ROOM = 100.0
@@ -33,6 +35,7 @@ class LayerPanel(Panel):
     def create(self, gui: viser.GuiApi) -> None:
         self._switches: dict[int, list[tuple[Layer, viser.GuiCheckboxHandle]]] = {}
         self._dropdowns: list[tuple[Layer, Option, viser.GuiDropdownHandle[Any]]] = []
+        self._missing = gui.add_html("", order=-1.0)
         for row, layer in enumerate(self.page.layers.values()):
             for k, option in enumerate(layer.options, start=1):
                 self._add_dropdown(gui, layer, option, _ROOM * row + k)
@@ -82,7 +85,8 @@ class LayerPanel(Panel):
             self.page.refresh()
 
     def update(self, frame: Frame) -> list[Change]:
-        changes: list[Change] = []
+        missing = lacks(frame.plan, *dict.fromkeys(layer.needs for layer in self.page.layers.values() if layer.needs))
+        changes: list[Change] = [(self._missing, "content", markup.note(missing) if missing else "")]
         for number, switches in list(self._switches.items()):
             for layer, switch in switches:
                 changes += [(switch, "visible", layer.available), (switch, "value", layer.is_visible_to(number))]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
@@ -58,7 +58,7 @@ class ParameterPanel(Panel):
         self._none = gui.add_html(markup.note("No parameter matches."), visible=False)
         for handle in (self._search, self._level):
             handle.on_update(self._refresh)
-        live = [info for info in PlannerConfig.parameters() if info.live]
+        live = [info for info in self.session.config.parameters() if info.live]
         for group in dict.fromkeys(info.group for info in live):
             with gui.add_folder(group) as folder:
                 rows = [
@@ -80,7 +80,7 @@ class ParameterPanel(Panel):
         with gui.add_folder("Structure") as folder:
             rows = [
                 ParameterRow(gui, info, self.session.config.get(info.path), on_change=None, on_reset=self._reset)
-                for info in PlannerConfig.parameters()
+                for info in self.session.config.parameters()
                 if not info.live
             ]
             hint = "Rebuild the planner with these values. Kernels that are new to this machine take a minute."
@@ -190,7 +190,7 @@ class ParameterTablePanel(Panel):
     """Table of all parameters of a session that takes no commands."""
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._shown: PlannerConfig | None = None
+        self._shown: DroneConfig | None = None
         self._table = gui.add_html("")
 
     def update(self, frame: Frame) -> list[Change]:
@@ -198,5 +198,5 @@ class ParameterTablePanel(Panel):
         if config is self._shown:
             return []
         self._shown = config
-        rows = [(info.title, f"{config.get(info.path)}", info.path) for info in PlannerConfig.parameters()]
+        rows = [(info.title, f"{config.get(info.path)}", info.path) for info in config.parameters()]
         return [(self._table, "content", markup.block(markup.table(rows)))]

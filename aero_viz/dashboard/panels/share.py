@@ -13,7 +13,7 @@ from typing import Protocol
 
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link, Opening
@@ -41,7 +41,7 @@ _KINDS = {
     "Picture": (".png", viser.Icon.PHOTO, "This moment as you see it, with the panels."),
     "Log": (".mcap", viser.Icon.FILE_DOWNLOAD, "The flight so far for play, Foxglove, RViz and others."),
 }
-Ticks = Sequence[tuple[Checkpoint, PlannerConfig]]
+Ticks = Sequence[tuple[Checkpoint, DroneConfig]]
 """Ticks of a session, each with the configuration of its last plan."""
 _STORED = "aero-link"
 _TAKE_LINK = """
@@ -150,7 +150,7 @@ class SharePanel(Panel):
         run_script(client, _TAKE_LINK)
         try:
             query = client.local_storage.get_item(_STORED, timeout=_LINK_TIMEOUT)
-            link = Link.parse(query or "")
+            link = Link.parse(query or "", type(self.session.config))
         except (RuntimeError, TimeoutError):  # the page was closed, or stores nothing
             return
         except ValueError as error:

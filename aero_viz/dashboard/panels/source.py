@@ -13,7 +13,7 @@ from typing import Any
 
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.links import Link, Opening
@@ -239,7 +239,7 @@ class SourcePanel(Panel):
     def _go_to(self, link: Link, reader: ReaderProcess) -> None:
         """Use the configuration of a link from the start on, and fly to its time, or until that is cancelled."""
         self.session.pause()
-        self._controls.configure(self.page.config_for_flight(PlannerConfig().replace(link.config)))
+        self._controls.configure(self.page.config_for_flight(type(self.session.config)().replace(link.config)))
         if link.time <= 0.0:
             return
         self._is_read = False  # the way there may be long, and can be cancelled
@@ -266,7 +266,7 @@ class SourcePanel(Panel):
         had_ended = frame is not None and frame.outcome is not None
         self.session.pause()  # a link goes to its time only after its configuration is used
 
-        def as_known(config: PlannerConfig) -> PlannerConfig:
+        def as_known(config: DroneConfig) -> DroneConfig:
             """Return a configuration with the facts of the new flight; a recording has none."""
             return config if frame is None else config_for_next_flight(config, before=frame.source, after=source.info)
 

@@ -7,12 +7,13 @@ import time
 import numpy as np
 import viser
 
-from aero_planner import PlanStatus
+from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change, legend_entries
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import RecordedPlan
 
@@ -118,22 +119,30 @@ def _figures(frame: Frame) -> str:
     state = frame.observation.actual_state
     position = np.asarray(state.position)
     goal_distance = np.linalg.norm(np.asarray(frame.observation.goal.position) - position)
-    clearance, reach = float(frame.plan.clearance[int(frame.plan.best)].min()), frame.config.costs.distance_max
-    is_beyond = clearance >= reach - 1e-4
     count = len(frame.observation.points)
     points = f"{count // 1000}k" if count >= 10_000 else f"{count}"
-    # Continued surfaces count as filtered points for the planner, but no beam has hit them.
-    continued = 0 if frame.plan.continued_cells is None else np.count_nonzero(frame.plan.continued_cells)
+    plan, kept = ensemble(frame.plan), ("points", points, "")
+    if plan is not None:
+        # Continued surfaces count as filtered points for the planner, but no beam has hit them.
+        continued = 0 if plan.continued_cells is None else np.count_nonzero(plan.continued_cells)
+        kept = ("filtered points", f"{len(plan.filtered_points) - continued}", f"/{points}")
     return markup.metrics(
         [
             ("speed", f"{np.linalg.norm(np.asarray(state.velocity)):.1f}", "m/s"),
             _height(frame, float(position[2])),
             ("distance to goal", f"{goal_distance:.1f}", "m"),
-            ("clearance of the plan", f"{'≥' if is_beyond else ''}{reach if is_beyond else clearance:.2f}", "m"),
-            ("filtered points", f"{len(frame.plan.filtered_points) - continued}", f"/{points}"),
+            ("clearance of the plan", clearance_text(frame), "m"),
+            kept,
             ("plan", f"{frame.timings_ms.get('plan', 0.0):.1f}", "ms"),
         ]
     )
+
+
+def clearance_text(frame: Frame) -> str:
+    """Return the smallest clearance of the chosen path [m], which AERO-MPPI measures up to costs.distance_max."""
+    clearance = float(frame.plan.clearance[int(frame.plan.best)].min())
+    reach = frame.config.costs.distance_max if isinstance(frame.config, PlannerConfig) else np.inf
+    return "?" if np.isnan(clearance) else f"≥{reach:.2f}" if clearance >= reach - 1e-4 else f"{clearance:.2f}"
 
 
 def _height(frame: Frame, z: float) -> tuple[str, str, str]:
@@ -146,7 +155,9 @@ def _height(frame: Frame, z: float) -> tuple[str, str, str]:
 
 def _estimates(frame: Frame) -> str:
     """Return what the planner counts on besides thrust and gravity; empty where there is none to speak of."""
-    plan = frame.plan
+    plan = ensemble(frame.plan)
+    if plan is None:
+        return ""
     disturbance = 0.0 if plan.disturbance is None else float(np.linalg.norm(plan.disturbance))
     drag = 0.0 if plan.drag is None else float(plan.drag)
     if disturbance < _SMALL_DISTURBANCE and drag < _SMALL_DRAG:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import viser
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.palette import css
@@ -119,7 +119,7 @@ class StudyPanel(Panel):
         if index < len(self._candidates):
             self._controls.compare_with(self._config(self._candidates[index])).result()
 
-    def _config(self, point: StudyPoint) -> PlannerConfig:
+    def _config(self, point: StudyPoint) -> DroneConfig:
         """Return the configuration of a candidate, with the facts of the present flight."""
         return self.page.config_for_flight(point.config)
 
@@ -165,16 +165,17 @@ def _legend(view: StudyView) -> str:
 def _importance(view: StudyView) -> str:
     if not view.importance:
         return markup.muted("The importance of parameters needs 8 candidates that flew in all worlds.")
-    rows = "".join(_share(one) for one in view.importance)
+    find = view.points[0].config.find if view.points else PlannerConfig.find
+    rows = "".join(_share(one, find(one.path).title) for one in view.importance)
     return markup.muted("Importance for being among the best quarter (PED-ANOVA, 90 % bootstrap interval)") + rows
 
 
-def _share(one: Importance) -> str:
+def _share(one: Importance, title: str) -> str:
     low, width = 100.0 * one.low, 100.0 * max(one.high - one.low, 0.005)
     figure = f"{100.0 * one.share:.0f} % ({100.0 * one.low:.0f} to {100.0 * one.high:.0f})"
     return (
         f'<div class="aero-importance" title="{markup.text(one.path)}">'
-        f"{markup.heading(PlannerConfig.find(one.path).title, figure)}"
+        f"{markup.heading(title, figure)}"
         f'<div style="position:relative;height:6px;background:{css(palette.MUTED, 0.15)}">'
         f'<div style="height:6px;width:{100.0 * one.share:.1f}%;background:{css(palette.BRAND)}"></div>'
         f'<div style="position:absolute;top:2px;height:2px;left:{low:.1f}%;width:{width:.1f}%;'

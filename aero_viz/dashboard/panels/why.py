@@ -15,9 +15,9 @@ from aero_viz.dashboard.layers.selection import SelectionLayer
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
-from aero_viz.dashboard.panels.why_card import card, chart
+from aero_viz.dashboard.panels.why_card import NUMBERED_MAX, card, chart
 from aero_viz.errors import UserError
-from aero_viz.explain.evidence import Evidence, Replanner
+from aero_viz.explain.evidence import PlanEvidence, Replanner
 from aero_viz.explain.picking import describe_point, pick
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -51,7 +51,7 @@ class WhyPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._replan = Replanner()
-        self._evidence: Evidence | None = None
+        self._evidence: PlanEvidence | None = None
         self._due = 0.0
         self._shown: tuple[object, ...] = ()
         self._switch = gui.add_checkbox("Explain the plan", False, hint=_HINT)
@@ -124,7 +124,8 @@ class WhyPanel(Panel):
             self._due = now + _PERIOD
             self._shown = wanted
             self._work.put(frame)
-        options = ("none", *map(str, range(len(frame.plan.kinds))))
+        count = len(frame.plan.kinds)
+        options = ("none", *map(str, range(count if count <= NUMBERED_MAX else 0)))
         changes: list[Change] = [(self._numbers, "visible", True)]
         return changes if self._numbers.options == options else [*changes, (self._numbers, "options", options)]
 

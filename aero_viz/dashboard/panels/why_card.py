@@ -14,7 +14,7 @@ from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.palette import Rgb, css
 from aero_viz.dashboard.panels import markup
-from aero_viz.explain.evidence import Evidence
+from aero_viz.explain.evidence import Evidence, PlanEvidence
 from aero_viz.explain.verdict import closest, verdict
 
 Array = NDArray[np.float64]
@@ -22,24 +22,32 @@ _TAB20 = palette.as_rgb(palette.colormap("tab20"))
 _COLORS: list[Rgb] = [_TAB20[i] for i in (0, 4, 5, 6, 8, 16, 2, 12, 1, 18, 3, 9, 17, 7, 19, 13, 10, 11, 14, 15)]
 """Colours of the terms of S2, in their order; those of terms beyond the last colour begin again."""
 _WIDTH, _HEIGHT = 290, 40
+NUMBERED_MAX = 40
+"""Largest number of candidates that are shown with their numbers; of more, a click in the scene selects one."""
 
 
-def chart(evidence: Evidence, selected: int | None) -> str:
-    """Return a column for each instance: the terms by which its S2 exceeds the smallest value of each term."""
-    costs, plan = evidence.stage2, evidence.plan
-    names, terms = [term.label for term in costs.terms], costs.values.sum(axis=2, dtype=np.float64).T
+def chart(evidence: PlanEvidence, selected: int | None) -> str:
+    """Return a column for each candidate: the terms by which its cost exceeds the smallest value of each term."""
+    plan = evidence.plan
+    if isinstance(evidence, Evidence):
+        costs, name = evidence.stage2, "S2"
+        names, terms = [term.label for term in costs.terms], costs.values.sum(axis=2, dtype=np.float64).T
+    else:
+        name, names = "cost", list(plan.costs)
+        terms = np.array(list(plan.costs.values()), dtype=np.float64).reshape(len(names), len(plan.kinds))
     colors = [_COLORS[i % len(_COLORS)] for i in range(len(names))]
     excess = terms - terms.min(axis=1, keepdims=True)
     total = excess.sum(axis=0)
     height = np.log1p(total) / max(float(np.log1p(total).max()), 1e-9)
     columns = numbers = ""
+    are_numbered = len(plan.kinds) <= NUMBERED_MAX
     for m, kind in enumerate(plan.kinds):
         parts = "".join(
             f'<div style="height:{100.0 * part / max(total[m], 1e-9):.1f}%;background:{css(color)}"></div>'
             for color, part in zip(colors, excess[:, m], strict=True)
             if part > 0.0
         )
-        label = f"{m} {kind}: S2 {cost_text(plan.stage2_cost[m])}, " + ", ".join(
+        label = f"{m} {kind}: {name} {cost_text(plan.cost[m])}, " + ", ".join(
             f"{name} {cost_text(value)}" for name, value in zip(names, terms[:, m], strict=True) if value
         )
         mark = palette.SELECTED if m == selected else palette.CHOSEN if m == plan.best else None
@@ -50,15 +58,33 @@ def chart(evidence: Evidence, selected: int | None) -> str:
             f'style="flex:1;height:{max(4.0, 100.0 * height[m]):.0f}%{outline}{faint}">{parts}</div>'
         )
         style = f"color:{css(palette.SELECTED)};font-weight:700" if m == selected else ""
-        numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{m}</div>'
+        number = m if are_numbered else ""
+        numbers += f'<div class="aero-number" style="flex:1;text-align:center;min-width:0;{style}">{number}</div>'
     shown = [(name, color) for name, color, row in zip(names, colors, excess, strict=True) if row.max() > 0.0]
-    heading = markup.heading("S2 above the least of each term, log.: shorter is better", "faint: unsafe")
+    heading = markup.heading(f"{name} above the least of each term, log.: shorter is better", "faint: unsafe")
     bars = f'<div style="display:flex;align-items:flex-end;gap:3px;height:76px;margin:4px 0 0">{columns}</div>'
     bars += f'<div style="display:flex;gap:3px;font-size:9px;margin-bottom:4px">{numbers}</div>'
     return heading + bars + markup.key(shown)
 
 
-def card(evidence: Evidence, instance: int) -> str:
+def card(evidence: PlanEvidence, instance: int) -> str:
+    """Return the card of a candidate; of AERO-MPPI's instances with everything that led to them."""
+    return _card(evidence, instance) if isinstance(evidence, Evidence) else _path_card(evidence, instance)
+
+
+def _path_card(evidence: PlanEvidence, candidate: int) -> str:
+    """Return the costs of a candidate next to those of the chosen one."""
+    plan, best = evidence.plan, int(evidence.plan.best)
+    safe = "safe" if evidence.is_safe[candidate] else "not safe"
+    title = markup.pill(f"candidate {candidate}: {plan.kinds[candidate]}, {safe}", palette.SELECTED)
+    costs = {**plan.costs, "all": plan.cost}
+    rows = [(name, *(cost_text(float(cost[m])) for m in (candidate, best))) for name, cost in costs.items()]
+    table = markup.columns(("cost", f"{candidate}", f"chosen: {best}"), rows)
+    missing = markup.note("This planner has no samples, weights and terms over time: the costs are all that it tells.")
+    return f'<div style="margin:6px 0 4px">{title}</div><div class="aero-term-table">{table}</div>{missing}'
+
+
+def _card(evidence: Evidence, instance: int) -> str:
     """Return the card of an instance."""
     plan, config = evidence.plan, evidence.frame.config
     first, second = evidence.stage1.values[instance], evidence.stage2.values[instance]

@@ -113,7 +113,7 @@ class SceneRecording:
                 self._cloud_due = frame.time + _CLOUD_PERIOD - 1e-6
             layer.eyes = [eye] if name != CloudLayer.name else []
             layer.history = self._history
-            changes += layer.update(frame)
+            changes += layer.show(frame)
         return changes
 
     def as_html(self) -> str:

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.output_files import check_output_files, whole_file
 from aero_viz.dashboard.history import drone_clearance
 from aero_viz.dashboard.page_view import PageView
@@ -41,7 +41,7 @@ def share(
     path: str | Path,
     *,
     command: str,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     seed: int = 0,
     device: str = "cpu",
     duration: float = 60.0,

@@ -84,13 +84,8 @@ def compare_runs(folder_a: str | Path, folder_b: str | Path) -> RunComparison:
     Raises:
         UserError: a folder holds no results, the runs are not of the same worlds, or no flight is in both.
     """
-    (header_a, flights_a), (header_b, flights_b) = _read(folder_a), _read(folder_b)
-    for key in _SAME:
-        if header_a[key] != header_b[key]:
-            raise UserError(
-                f"{folder_a} and {folder_b} cannot be compared: {key} is {header_a[key]!r} in one and "
-                f"{header_b[key]!r} in the other; fly both with the same worlds, drone and LiDAR."
-            )
+    (header_a, flights_a), (header_b, flights_b) = read_run(folder_a), read_run(folder_b)
+    check_same(folder_a, header_a, folder_b, header_b)
     keys = [key for key in flights_a if key in flights_b]
     if not keys:
         raise UserError(f"{folder_a} and {folder_b} have no flight through the same world.")
@@ -107,8 +102,18 @@ def compare_runs(folder_a: str | Path, folder_b: str | Path) -> RunComparison:
     return RunComparison(rows, _differences(header_a, header_b), len(flights_a) + len(flights_b) - 2 * len(keys))
 
 
-def _read(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int], _Flight]]:
-    """Return the header and the flights by row, index and seed of the world."""
+def check_same(folder_a: str | Path, a: dict[str, Any], folder_b: str | Path, b: dict[str, Any]) -> None:
+    """Raise a UserError unless two runs, by their headers, are of the same worlds, drone and LiDAR."""
+    for key in _SAME:
+        if a[key] != b[key]:
+            raise UserError(
+                f"{folder_a} and {folder_b} cannot be compared: {key} is {a[key]!r} in one and {b[key]!r} in the "
+                "other; fly both with the same worlds, drone and LiDAR."
+            )
+
+
+def read_run(folder: str | Path) -> tuple[dict[str, Any], dict[tuple[str, int, int], _Flight]]:
+    """Return the header of a run and its flights by row, index and seed of the world."""
     header, flights = read_folder(Path(folder))
     if header is None:
         raise UserError(f"{folder} holds no results; give a folder that `aero-viz bench` wrote, like results/table2.")
@@ -119,11 +124,16 @@ def _differences(header_a: dict[str, Any], header_b: dict[str, Any]) -> dict[str
     """Return the values of A and B that differ and have an effect, by name."""
     tables = [{row["label"]: row for row in header.get("rows", ())} for header in (header_a, header_b)]
     rows = [row for table in tables for row in table.values()]
-    found = {}
+    found: dict[str, tuple[Any, Any]] = {}
+    planners = tuple(header.get("planner", "aero_mppi") for header in (header_a, header_b))
+    if planners[0] != planners[1]:
+        found["planner"] = planners[0], planners[1]
     for key in ("config", "versions", "device", "rows"):
         contents = tables if key == "rows" else (header_a[key], header_b[key])
         values_a, values_b = (leaves_by_path(content, key) for content in contents)
         names = {**values_a, **values_b}
+        if key == "config" and "planner" in found:
+            names = {name: None for name in values_a if name in values_b}
         found.update({n: (values_a.get(n), values_b.get(n)) for n in names if values_a.get(n) != values_b.get(n)})
     return {name.removeprefix("config."): values for name, values in found.items() if _has_effect(name, rows)}
 

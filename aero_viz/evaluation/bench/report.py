@@ -277,10 +277,10 @@ def _conditions(run: Run) -> str:
 
 
 def _config(header: dict[str, Any]) -> str:
-    from aero_planner import PlannerConfig
     from aero_planner.config.file import format_config
+    from aero_viz.planners.registry import config_of_entry
 
-    lines = format_config(PlannerConfig.from_dict(header["config"])).splitlines()
+    lines = format_config(config_of_entry(header)).splitlines()
     kept = [line for line in lines if line and not line.lstrip().startswith("#")]
     return "\n".join(["```yaml", *kept, "```"])
 

@@ -14,7 +14,8 @@ _HEADER, _FLIGHTS = "run.json", "flights.jsonl"
 REPORT_FILES = (_HEADER, "summary.json", "success.png", "speed.png", "throughput.png")
 """Files of a folder of results that have the ending of a world: the header, the summary and the plots."""
 _FIXED_KEYS = (
-    "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "config", "rows",
+    "benchmark", "versions", "seed", "flights", "device", "lidar", "simulation", "config_name", "planner",
+    "config", "rows",
 )  # fmt: skip
 """Keys of the header that must be equal for a run to be resumed."""
 
@@ -49,9 +50,9 @@ def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, 
         if not resume:
             raise UserError(f"{folder} holds results already; add --resume to continue, or choose another --output.")
         for key in _FIXED_KEYS:
-            if previous.get(key) != header[key]:
+            if previous.get(key) != header.get(key):
                 raise UserError(
-                    f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header[key])}; "
+                    f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header.get(key))}; "
                     "choose another --output, or the same options and versions."
                 )
         # Drops the incomplete last line that a crash may have left.

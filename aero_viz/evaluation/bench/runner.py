@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status, check_count, default_batch
 from aero_viz.evaluation.bench.causes import cause_of
@@ -26,6 +27,8 @@ from aero_viz.evaluation.machine import hardware, versions
 from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.flight.explanation import refuse_impossible
+from aero_viz.flight.serial import SerialFlights
+from aero_viz.planners.registry import name_of, planner_entry
 from aero_viz.scenes import World, scene
 from aero_viz.seed_range import check_seed
 from aero_viz.sensors import lidar_model
@@ -77,7 +80,7 @@ class _PlannedFlight:
     seed: int
     """Seed of LiDAR and planner."""
     world_seed: int
-    config: PlannerConfig
+    config: DroneConfig
     vehicle: VehicleModel
     rules: FlightRules
     group: tuple[Any, ...]
@@ -92,7 +95,7 @@ def run_benchmark(
     *,
     flights: int = 50,
     seed: int = 0,
-    config: PlannerConfig | None = None,
+    config: DroneConfig | None = None,
     config_name: str = "default",
     device: str = "cpu",
     lidar: str | None = None,
@@ -161,6 +164,7 @@ def run_benchmark(
             "rules": dataclasses.asdict(rules),
         },
         "config_name": config_name,
+        **planner_entry(base),
         "config": base.to_dict(),
         "rows": [dataclasses.asdict(row) for row in benchmark.rows],
     }
@@ -253,10 +257,16 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
     ]
     batch = _build(shard, worlds)
     objects = [flight.row.sudden for flight in shard.flights]
-    speeds = SuddenObjects(batch, worlds, objects, [flight.world_seed for flight in shard.flights]).speeds
+    speeds: list[float | None] = [None] * len(worlds)
+    if isinstance(batch, FlightBatch):
+        speeds = SuddenObjects(batch, worlds, objects, [flight.world_seed for flight in shard.flights]).speeds
     built = time.perf_counter()
     results = batch.run(progress=progress)
-    about_batch = {"batch_size": len(shard.flights), "build_s": built - started, "run_s": time.perf_counter() - built}
+    about_batch: dict[str, Any] = {
+        "batch_size": len(shard.flights),
+        "build_s": built - started,
+        "run_s": time.perf_counter() - built,
+    }
     if all(flight.row.batch for flight in shard.flights) and not batch.interrupted:
         about_batch |= _time_stages(shard, worlds)
     records = [
@@ -272,7 +282,7 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[dict
         for flight, result, about_world, speed in zip(shard.flights, results, about_worlds, speeds, strict=True)
         if result.reason is not None  # after Ctrl-C some flights have not ended
     ]
-    batch.planner.close()
+    batch.close()
     interrupted = batch.interrupted or not _explain(shard, worlds, records)
     return records, interrupted
 
@@ -300,6 +310,7 @@ def _time_stages(shard: _Shard, worlds: Sequence[World]) -> dict[str, float]:
     The flights start again, because timing the stages of the planner would delay those whose time counts.
     """
     batch = _build(shard, worlds)
+    assert isinstance(batch, FlightBatch)  # see `_plan_flights`
     for _ in range(_TIMED_TICK):
         batch.step()
     stages = batch.time_stages(_TIMED_TICKS)
@@ -320,7 +331,7 @@ def _describe(world: World, radius: float) -> dict[str, Any]:
 
 def _plan_flights(
     benchmark: Benchmark,
-    base: PlannerConfig,
+    base: DroneConfig,
     *,
     flights: int,
     seed: int,
@@ -329,10 +340,15 @@ def _plan_flights(
     drone: Mapping[str, float],
 ) -> Iterator[_PlannedFlight]:
     """Yield all flights in the order of flying: those of rows that can share a batch are adjacent."""
-    groups: dict[tuple[Any, ...], list[tuple[Row, PlannerConfig, VehicleModel, FlightRules]]] = {}
+    groups: dict[tuple[Any, ...], list[tuple[Row, DroneConfig, VehicleModel, FlightRules]]] = {}
+    if not isinstance(base, PlannerConfig) and (rows := [row for row in benchmark.rows if row.batch or row.sudden]):
+        raise UserError(
+            f"{benchmark.name} flies batches on the device, as in the row {rows[0].label!r}, which {name_of(base)} "
+            "cannot; choose another benchmark, or AERO-MPPI."
+        )
     for row in benchmark.rows:
         try:
-            config = base if row.preset is None else PlannerConfig.preset(row.preset)
+            config = base if row.preset is None else type(base).preset(row.preset)
             config = config.replace({**row.changes, "vehicle.speed_limit": row.speed})
             vehicle = VehicleModel.from_config(config, **drone)
         except ValueError as error:
@@ -375,7 +391,7 @@ def _split_into_batches(pending: Iterable[_PlannedFlight], size: int) -> Iterato
             yield group[first : first + limit]
 
 
-def _build(shard: _Shard, worlds: Sequence[World]) -> FlightBatch:
+def _build(shard: _Shard, worlds: Sequence[World]) -> FlightBatch | SerialFlights:
     flights = shard.flights
     configs, seeds = [flight.config for flight in flights], [flight.seed for flight in flights]
     labels = [flight.row.label for flight in flights]

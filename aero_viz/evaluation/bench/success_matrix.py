@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import statistics
 
-from aero_planner import PlannerConfig
 from aero_viz.evaluation.bench.runner import Run
 from aero_viz.evaluation.bench.sudden_object import can_evade
 from aero_viz.evaluation.bench.suites import Row
+from aero_viz.planners.registry import config_of_entry
 
 IMPOSSIBLE_NOTE = (
     "x: a drone with this mass, thrust and body rates cannot evade the object from straight and level flight, even if "
@@ -50,7 +50,7 @@ def _speeds(run: Run, labels: set[str]) -> list[float]:
 def _is_possible(run: Run, row: Row) -> bool:
     if row.sudden is None:
         return True
-    vehicle = PlannerConfig.from_dict(run.header["config"]).vehicle
+    vehicle = config_of_entry(run.header).vehicle
     radius = run.header["simulation"]["rules"]["radius"]
     speed = min(_speeds(run, {row.label}), default=row.speed)
     return can_evade(row.sudden.distance, speed, vehicle=vehicle, radius=radius)

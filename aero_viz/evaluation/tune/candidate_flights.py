@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.evaluation.batching import FlightOptions, Progress, batch_status
 from aero_viz.evaluation.executor import Executor
 from aero_viz.flight import FlightResult
@@ -18,7 +18,7 @@ class _Shard:
     """One batch of flights."""
 
     worlds: tuple[World, ...]
-    configs: tuple[PlannerConfig, ...]
+    configs: tuple[DroneConfig, ...]
     seeds: tuple[int, ...]
     options: FlightOptions
     threads: int | None
@@ -59,7 +59,7 @@ class CandidateFlights:
         self._is_interrupted = False
 
     def fly(
-        self, configs: Sequence[PlannerConfig], worlds: Sequence[int], label: str
+        self, configs: Sequence[DroneConfig], worlds: Sequence[int], label: str
     ) -> dict[tuple[int, int], FlightResult]:
         """Fly each configuration through each of these worlds; return the results by index of both.
 
@@ -100,5 +100,5 @@ def _fly_shard(shard: _Shard, progress: BatchProgress | None) -> tuple[list[Flig
     """Fly one batch; return the results, and whether Ctrl-C interrupted it."""
     batch = shard.options.build(shard.worlds, shard.configs, shard.seeds, threads=shard.threads)
     results = batch.run(progress=progress)
-    batch.planner.close()
+    batch.close()
     return results, batch.interrupted

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 from aero_viz.evaluation.batching import FlightOptions, Progress, check_count, default_batch
 from aero_viz.evaluation.executor import Executor, LocalExecutor
@@ -34,6 +34,7 @@ from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finish
 from aero_viz.evaluation.tune.tuning_result import Check, TuningResult
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel
 from aero_viz.flight.explanation import refuse_impossible
+from aero_viz.planners.registry import planner_entry
 from aero_viz.scenes import World
 from aero_viz.seed_range import check_seed
 
@@ -63,7 +64,7 @@ class SearchOptions:
 
 
 def tune(
-    config: PlannerConfig,
+    config: DroneConfig,
     ranges: Sequence[ParameterRange],
     worlds: Sequence[World],
     fresh_worlds: Sequence[World],
@@ -185,12 +186,13 @@ def _definition(
         "over": [dataclasses.asdict(parameter) for parameter in problem.ranges],
         "search": {key: value for key, value in dataclasses.asdict(search).items() if key != "trials"},
         "flight": dataclasses.asdict(flight),
+        **planner_entry(problem.incumbent),
         "config": problem.incumbent.to_dict(),
         "versions": versions(),
     }
 
 
-def _compare(flights: CandidateFlights, incumbent: PlannerConfig, best: PlannerConfig, worlds: Sequence[int]) -> Check:
+def _compare(flights: CandidateFlights, incumbent: DroneConfig, best: DroneConfig, worlds: Sequence[int]) -> Check:
     results = flights.fly([incumbent, best], worlds, "fresh worlds")
     return Check.from_results([results[0, w] for w in worlds], [results[1, w] for w in worlds])
 
@@ -306,7 +308,7 @@ class _Search:
             with suppress(Exception):  # the first error is the one to report
                 self._study.tell(trial, state=optuna.trial.TrialState.FAIL)
 
-    def _propose(self, candidate: int) -> tuple[optuna.Trial, PlannerConfig]:
+    def _propose(self, candidate: int) -> tuple[optuna.Trial, DroneConfig]:
         """Return a trial and its configuration. Values that contradict each other are proposed again.
 
         The sampler has a seed of its own for each candidate, so that a study that is continued goes on like one that

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.errors import UserError
 
 _DEFAULT_FACTOR = 4.0
@@ -30,7 +30,7 @@ class ParameterRange:
         return min(max(float(f"{value:.4g}"), self.low), self.high)
 
 
-def parse_ranges(texts: Sequence[str], config: PlannerConfig) -> tuple[ParameterRange, ...]:
+def parse_ranges(texts: Sequence[str], config: DroneConfig) -> tuple[ParameterRange, ...]:
     """Return the ranges that texts such as "costs.q_track" or "costs.q_track=1:20" describe.
 
     Without limits the range is a quarter of the value in `config` to four times that value, within the parameter's
@@ -48,7 +48,7 @@ def parse_ranges(texts: Sequence[str], config: PlannerConfig) -> tuple[Parameter
     ranges: list[ParameterRange] = []
     for text in texts:
         name, has_limits, limits = text.partition("=")
-        info = PlannerConfig.find(name.strip().replace("-", "_"))
+        info = config.find(name.strip().replace("-", "_"))
         value = config.get(info.path)
         if info.path in (parameter.path for parameter in ranges):
             raise ValueError(f"{info.path} is named twice; remove one.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.evaluation.statistics import mean_interval, wilson_interval
@@ -49,7 +49,7 @@ class StudyPoint:
 
     trial: int | None
     """Number of the trial; None for the incumbent."""
-    config: PlannerConfig
+    config: DroneConfig
     estimates: Mapping[str, Estimate]
     """Figure on each axis: the Wilson interval of the share that arrives, and Student's t interval of the means over
     the flights that arrive. Without an arrival, there are no means."""

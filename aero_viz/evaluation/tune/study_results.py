@@ -7,12 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.evaluation.tune.objectives import Objective, flight_cost, front_values
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.evaluation.tune.study import INCUMBENT, flights_of, load_flights
 from aero_viz.evaluation.tune.tuning_result import Candidate
 from aero_viz.flight import FlightResult
+from aero_viz.planners.registry import config_of_entry
 
 if TYPE_CHECKING:
     import optuna
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 class Problem:
     """Definition of a study."""
 
-    incumbent: PlannerConfig
+    incumbent: DroneConfig
     ranges: tuple[ParameterRange, ...]
     """The tuned parameters."""
     objectives: tuple[Objective, ...]
@@ -37,9 +38,9 @@ class Problem:
             ValueError: this version has no such parameter, or a value is out of bounds.
         """
         ranges = tuple(ParameterRange(**values) for values in definition["over"])
-        return cls(PlannerConfig.from_dict(definition["config"]), ranges, tuple(definition["search"]["objectives"]))
+        return cls(config_of_entry(definition), ranges, tuple(definition["search"]["objectives"]))
 
-    def config_at(self, params: Mapping[str, Any]) -> PlannerConfig:
+    def config_at(self, params: Mapping[str, Any]) -> DroneConfig:
         """Return the configuration with the values of a trial.
 
         Raises:
@@ -72,7 +73,7 @@ class StudyResults:
         Raises:
             KeyError, TypeError, ValueError: the study was changed by another program.
         """
-        flown: list[tuple[int | None, PlannerConfig, dict[int, FlightResult]]] = []
+        flown: list[tuple[int | None, DroneConfig, dict[int, FlightResult]]] = []
         incumbent = study.user_attrs.get(INCUMBENT)
         if incumbent is not None:
             flown.append((None, problem.incumbent, load_flights(incumbent)))
@@ -113,7 +114,7 @@ def pareto_front(candidates: Sequence[Candidate], *, key: Callable[[Candidate], 
 
 
 def _candidate(
-    problem: Problem, trial: int | None, config: PlannerConfig, flights: Mapping[int, FlightResult], *, size: int
+    problem: Problem, trial: int | None, config: DroneConfig, flights: Mapping[int, FlightResult], *, size: int
 ) -> Candidate:
     flown = tuple(flights[world] for world in sorted(flights))
     return Candidate(trial, config, tuple(problem.values(flown)), flown, is_complete=len(flown) == size)

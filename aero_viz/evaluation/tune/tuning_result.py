@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.evaluation.tune.objectives import NAMES, OBJECTIVES, UNITS, Objective, measure
 from aero_viz.evaluation.tune.search_space import ParameterRange
@@ -88,7 +88,7 @@ class Candidate:
 
     trial: int | None
     """Number of the trial in Optuna's study; None for the incumbent."""
-    config: PlannerConfig
+    config: DroneConfig
     values: tuple[float, ...]
     """Cost that the search minimises, infinite where no flight arrived."""
     flights: tuple[FlightResult, ...]
@@ -112,7 +112,7 @@ class TuningResult:
     """The tuned parameters."""
     objectives: tuple[Objective, ...]
     """Objectives besides arrivals."""
-    incumbent: PlannerConfig
+    incumbent: DroneConfig
     candidates: tuple[Candidate, ...]
     """The first one is the incumbent; empty if Ctrl-C came before it had flown."""
     best: Candidate | None
@@ -125,12 +125,12 @@ class TuningResult:
     """True after Ctrl-C."""
 
     @property
-    def chosen(self) -> PlannerConfig:
+    def chosen(self) -> DroneConfig:
         """The best candidate, unless the check shows that the incumbent is better."""
         keep = self.best is None or (self.check is not None and self.check.verdict == "worse")
         return self.incumbent if self.best is None or keep else self.best.config
 
-    def values(self, config: PlannerConfig) -> dict[str, float]:
+    def values(self, config: DroneConfig) -> dict[str, float]:
         """Return the values of the tuned parameters in a configuration, by path."""
         return {parameter.path: float(config.get(parameter.path)) for parameter in self.ranges}
 
@@ -169,7 +169,7 @@ class TuningResult:
         about = {"trial": candidate.trial, "values": self.values(candidate.config), "objectives": means, "costs": costs}
         return {**about, "is_complete": candidate.is_complete, **score.to_dict()}
 
-    def _row(self, name: str, score: Score, config: PlannerConfig) -> list[str]:
+    def _row(self, name: str, score: Score, config: DroneConfig) -> list[str]:
         low, high = wilson_interval(score.arrived, score.flights)
         means = [_format(score.flight_time_s, score.flight_time_std_s, " s")]
         means += [_format(mean, std) for mean, std in (score.others[n] for n in self.objectives if n != "time")]

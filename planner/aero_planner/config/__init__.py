@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from aero_planner.config.drone_config import DroneConfig
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.sections.anchors import AnchorConfig
 from aero_planner.config.sections.candidates import CandidateConfig
@@ -15,6 +16,7 @@ __all__ = [
     "AnchorConfig",
     "CandidateConfig",
     "CostConfig",
+    "DroneConfig",
     "ParameterInfo",
     "ParameterSection",
     "PartitionConfig",

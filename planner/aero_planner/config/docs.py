@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
-from aero_planner.config import ParameterInfo, PlannerConfig
+from aero_planner.config import DroneConfig, ParameterInfo, PlannerConfig
 
 
-def format_parameters() -> str:
-    """Return all parameters of the planner in Markdown, one table per section, and the list of presets."""
+def format_parameters(kind: type[DroneConfig] = PlannerConfig) -> str:
+    """Return all parameters of a planner in Markdown, one table per section, and the list of presets."""
+    paper = kind.preset("paper") if "paper" in kind.presets() else kind()
     lines: list[str] = []
     columns = ["parameter", "name", "symbol", "default", "paper", "range", "unit", "kind", "meaning"]
-    for name, section in PlannerConfig.sections().items():
+    for name, section in kind.sections().items():
         lines += ["", f"## {name}", "", _row(columns), _row(["---"] * len(columns))]
-        lines += [_row(_cells(info)) for info in section.parameters()]
-    presets = [f"- `{name}`: {help}" for name, help in PlannerConfig.presets().items()]
+        lines += [_row(_cells(info, paper)) for info in section.parameters()]
+    presets = [f"- `{name}`: {help}" for name, help in kind.presets().items()]
     return "\n".join(["# Planner parameters", "", "Presets:", "", *presets, *lines])
 
 
-def _cells(info: ParameterInfo) -> list[str]:
-    paper = PlannerConfig.preset("paper").get(info.path)
+def _cells(info: ParameterInfo, preset: DroneConfig) -> list[str]:
+    paper = preset.get(info.path)
     return [
         f"`{info.path}`",
         info.label,

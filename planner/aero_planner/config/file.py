@@ -1,5 +1,6 @@
 """Configuration files: YAML with two levels, sections and parameters.
 
+planner: primitives  # optional: the planner that is configured; AERO-MPPI otherwise
 preset: paper        # optional: the configuration that the file changes; the default configuration otherwise
 costs:
   q_track: 5.0       # comment
@@ -23,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from aero_planner.config.drone_config import DroneConfig
 from aero_planner.config.planner_config import PlannerConfig
 from aero_planner.config.yaml_entries import Entry, parse_entries
 from aero_planner.output_files import whole_file
@@ -30,11 +32,14 @@ from aero_planner.parameters import ContradictionError, ParameterInfo, Sectioned
 from aero_planner.user_file import open_user_file
 
 Config = TypeVar("Config", bound=SectionedConfig)
+Drone = TypeVar("Drone", bound=DroneConfig)
 
 ONBOARD = "onboard"
 """Key of the settings of the node."""
 GOAL = "goal"
 """Key of the goal."""
+PLANNER = "planner"
+"""Key of the name of the planner."""
 
 _MAX_BYTES = 2**20
 
@@ -55,19 +60,36 @@ class ConfigFile:
         """
         return cls(str(path), parse_entries(read_text(path), str(path)))
 
-    def planner_config(self) -> PlannerConfig:
-        """Return the configuration of the planner; entries below `onboard:` and `goal:` are ignored.
+    @property
+    def planner(self) -> str:
+        """Name of the planner that is configured; raises ValueError if it is none."""
+        for entry in self.entries:
+            if entry.key == PLANNER:
+                with self._located(entry):
+                    return str(_value_of(entry, PLANNER))
+        return PlannerConfig.planner
+
+    def planner_config(self, kind: type[Drone] = PlannerConfig) -> Drone:
+        """Return the configuration of a planner; entries below `onboard:` and `goal:` are ignored.
+
+        Args:
+            kind: class of the configuration.
 
         Raises:
-            ValueError: there is an unknown name or a value out of bounds; names the file, the line and the nearest
-                known name.
+            ValueError: there is an unknown name or a value out of bounds, names the file, the line and the nearest
+                known name; or the file configures another planner.
         """
-        base, sections = PlannerConfig(), []
+        base, sections = kind(), []
+        if self.planner != kind.planner:
+            raise ValueError(
+                f"{self.path} configures the planner {self.planner}, not {kind.planner}; add --planner {self.planner}, "
+                "or give another file."
+            )
         for entry in self.entries:
             if entry.key == "preset":
                 with self._located(entry):
-                    base = PlannerConfig.preset(str(_value_of(entry, "preset")))
-            elif entry.key not in (ONBOARD, GOAL):
+                    base = kind.preset(str(_value_of(entry, "preset")))
+            elif entry.key not in (ONBOARD, GOAL, PLANNER):
                 sections.append(entry)
         return self.change(base, sections)
 
@@ -169,23 +191,27 @@ def read_text(path: str | os.PathLike[str]) -> str:
         raise ValueError(f"{path} can't be read: {error.strerror or error}.") from error
 
 
-def config_from_name(name_or_path: str | os.PathLike[str]) -> PlannerConfig:
+def config_from_name(name_or_path: str | os.PathLike[str], kind: type[Drone] = PlannerConfig) -> Drone:
     """Return the preset of this name or, if there is none, the configuration in the file of this name.
+
+    Args:
+        name_or_path: name of a preset, or path of a file.
+        kind: class of the configuration.
 
     Raises:
         ValueError: there is neither, or the file is wrong; lists the presets.
     """
-    name, presets = str(name_or_path), PlannerConfig.presets()
+    name, presets = str(name_or_path), kind.presets()
     if name in presets:
-        return PlannerConfig.preset(name)
+        return kind.preset(name)
     if Path(name).exists():
-        return load_config(name)
+        return ConfigFile.read(name).planner_config(kind)
     raise ValueError(
         f"{name!r} is neither a preset{did_you_mean(name, presets)} nor a file; presets: {', '.join(presets)}."
     )
 
 
-def save_config(config: PlannerConfig, path: str | os.PathLike[str]) -> None:
+def save_config(config: DroneConfig, path: str | os.PathLike[str]) -> None:
     """Write every parameter of `config` to a file, which is replaced as a whole or not at all.
 
     Raises:
@@ -209,23 +235,27 @@ def write_text(text: str, path: str | os.PathLike[str]) -> None:
         raise ValueError(f"{path} can't be written: {error.strerror or error}.") from error
 
 
-def format_config(config: PlannerConfig) -> str:
+def format_config(config: DroneConfig) -> str:
     """Return the text of a configuration file with every parameter, its help, range and unit."""
     header = "# Configuration of aero-planner. Any line may be left out; the default value then applies."
-    return "\n".join([header, *format_sections(config), ""])
+    return "\n".join([header, *_planner_line(config), *format_sections(config), ""])
 
 
-def format_changes(config: PlannerConfig, *, preset: str = "default") -> str:
+def format_changes(config: DroneConfig, *, preset: str = "default") -> str:
     """Return the text of a configuration file with only the differences from a preset."""
-    lines = [] if preset == "default" else [f"preset: {preset}"]
+    lines = [*_planner_line(config), *([] if preset == "default" else [f"preset: {preset}"])]
     section = ""
-    for path in PlannerConfig.preset(preset).differences(config):
+    for path in type(config).preset(preset).differences(config):
         info = config.find(path)
         if info.section != section:
             section = info.section
             lines.append(f"{section}:")
         lines.append(f"  {info.name}: {_format_value(info, config.get(path))}")
     return "\n".join([*lines, ""])
+
+
+def _planner_line(config: DroneConfig) -> list[str]:
+    return [] if config.planner == PlannerConfig.planner else [f"{PLANNER}: '{config.planner}'"]
 
 
 def format_goal(goal: Sequence[float]) -> str:

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import field
 from typing import Any, ClassVar
 
+from aero_planner.config.drone_config import SHORTEST_MEMORY, DroneConfig
 from aero_planner.config.old_names import CHANGED, REMOVED, RENAMED
 from aero_planner.config.presets import PRESETS
 from aero_planner.config.sections.anchors import AnchorConfig
@@ -19,8 +20,7 @@ from aero_planner.config.sections.costs import CostConfig
 from aero_planner.config.sections.partition import PartitionConfig
 from aero_planner.config.sections.sampling import SamplingConfig
 from aero_planner.config.sections.stages import StageConfig
-from aero_planner.config.sections.vehicle import VehicleConfig
-from aero_planner.parameters import SectionedConfig, Value, did_you_mean, log_warning, with_sections
+from aero_planner.parameters import Value, log_warning, with_sections
 from aero_planner.registry import added_sections, names
 
 COARSE_ROWS, COARSE_COLUMNS = 10, 20
@@ -28,7 +28,7 @@ COARSE_ROWS, COARSE_COLUMNS = 10, 20
 
 
 @with_sections(added_sections())
-class PlannerConfig(SectionedConfig):
+class PlannerConfig(DroneConfig):
     """All parameters of the planner.
 
     The default is the best configuration known; `preset("paper")` is the literal paper.
@@ -37,11 +37,11 @@ class PlannerConfig(SectionedConfig):
         ValueError: a parameter is out of bounds or contradicts another one; names parameter, value and range.
     """
 
+    planner: ClassVar[str] = "aero_mppi"
     renamed: ClassVar[Mapping[str, str]] = RENAMED
     changed: ClassVar[Mapping[str, str]] = CHANGED
     removed: ClassVar[Mapping[str, str]] = REMOVED
 
-    vehicle: VehicleConfig = field(default_factory=VehicleConfig)
     partition: PartitionConfig = field(default_factory=PartitionConfig)
     anchors: AnchorConfig = field(default_factory=AnchorConfig)
     candidates: CandidateConfig = field(default_factory=CandidateConfig)
@@ -95,22 +95,16 @@ class PlannerConfig(SectionedConfig):
         """Number of rows and columns of fine cells."""
         return COARSE_ROWS * self.partition.fine_cells, COARSE_COLUMNS * self.partition.fine_cells
 
-    def structure(self) -> tuple[tuple[str, Value], ...]:
-        """Return path and value of each structural parameter; configurations of equal structure can share buffers."""
-        return tuple((info.path, self.get(info.path)) for info in self.parameters() if not info.live)
+    @property
+    def control_step(self) -> float:
+        return self.sampling.dt
+
+    @property
+    def sweep_memory(self) -> float:
+        if "memory" not in self.stages.names:
+            return SHORTEST_MEMORY
+        return self.memory.duration(self.vehicle.speed_limit)
 
     @classmethod
-    def presets(cls) -> dict[str, str]:
-        """Return the description of each preset by name."""
-        return {name: help for name, (help, _) in PRESETS.items()}
-
-    @classmethod
-    def preset(cls, name: str) -> PlannerConfig:
-        """Return a preset by name.
-
-        Raises:
-            ValueError: there is no such preset; the message lists the presets.
-        """
-        if name not in PRESETS:
-            raise ValueError(f"unknown preset {name!r}{did_you_mean(name, PRESETS)}; known: {', '.join(PRESETS)}.")
-        return cls().replace(PRESETS[name][1])
+    def preset_changes(cls) -> dict[str, tuple[str, dict[str, Value]]]:
+        return PRESETS

@@ -34,7 +34,6 @@ from aero_planner.onboard.px4_parameters import (
 )
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
-from aero_planner.stages.memory.parameters import memory_duration
 from aero_planner.sweeps import sweeps_within
 
 T = TypeVar("T")
@@ -162,9 +161,9 @@ def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
 
 
 def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
-    """Check that the cloud reaches back far enough for the speed limit, see `memory_duration`."""
+    """Check that the cloud reaches back far enough for the speed limit, see `DroneConfig.sweep_memory`."""
     lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
-    needed = min(sweeps_within(memory_duration(planner), lidar.sweep_period), lidar.sweeps + int(most or 0))
+    needed = min(sweeps_within(planner.sweep_memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
     known = lidar.sweeps + lidar.older_sweeps
     finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
     advice = (

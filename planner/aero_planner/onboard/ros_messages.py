@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.onboard.safety_machine import StateChange
-from aero_planner.plan import Goal, Plan, VehicleState
+from aero_planner.plan import Goal, VehicleState
 from aero_planner.quaternions import conjugate, rotate
 
 _SECONDS_MAX = 2**31 - 1
@@ -28,6 +28,7 @@ PATH = "nav_msgs/msg/Path"
 GOAL = "geometry_msgs/msg/PoseStamped"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 PLAN = "aero_viz_msgs/msg/Plan"
+COSTS = "aero_viz_msgs/msg/Costs"
 SAFETY = "aero_planner_msgs/msg/Safety"
 
 _FLOAT32, _UINT32 = 7, 6
@@ -52,6 +53,13 @@ float32[] clearance       # smallest distance to the cloud over the horizon [m]
 float32[4] command        # first control: thrust [N], body rates [rad/s]
 float32 plan_ms           # duration of planning [ms]
 uint32 config_version     # attachment config_<version>.yaml
+"""
+
+COSTS_DEFINITION = """\
+# Costs of the candidates of a plan, M in all, by term.
+std_msgs/Header header
+string[] terms
+float32[] values          # term by term, the M candidates of each
 """
 
 _PARTS = {
@@ -97,6 +105,7 @@ _MESSAGES = {
     GOAL: _PARTS["geometry_msgs/PoseStamped"],
     MARKERS: "visualization_msgs/Marker[] markers\n",
     PLAN: PLAN_DEFINITION,
+    COSTS: COSTS_DEFINITION,
     SAFETY: (
         "# The node's safety state changed.\n"
         "std_msgs/Header header\nstring source  # state before\nstring target  # state now\nstring cause\n"
@@ -246,12 +255,14 @@ def goal_message(goal: Goal, stamp: int) -> Encoded:
 
 
 def plan_messages(
-    plan: Plan, stamp: int, *, plan_ms: float, config_version: int = 0, lines: bool = True
+    plan: Any, stamp: int, *, plan_ms: float, config_version: int = 0, lines: bool = True
 ) -> Iterator[Encoded]:
     """Yield a plan: /plan (costs), /plan/best (the path flown), /plan/guides and /plan/rollouts.
 
+    A planner with other terms than goal and collision has /plan/costs, too, and one without guides no /plan/guides.
+
     Args:
-        plan: Plan of one drone.
+        plan: Plan of one drone, or any that has candidate paths, their costs and a choice as that does.
         stamp: [ns].
         plan_ms: Duration of planning [ms].
         config_version: Version in the name of the attachment config_<version>.yaml.
@@ -260,8 +271,11 @@ def plan_messages(
     yield Encoded("/plan", PLAN, _summary(plan, stamp, plan_ms, config_version))
     best = int(plan.best)
     yield Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+    if not {"goal", "collision"}.issuperset(plan.costs):
+        yield Encoded("/plan/costs", COSTS, _costs(plan.costs, stamp))
     if lines:
-        yield Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
+        if "guides" in plan.extensions:
+            yield Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
         rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=best)
         yield Encoded("/plan/rollouts", MARKERS, rollouts)
 
@@ -275,18 +289,30 @@ def safety_change(change: StateChange, stamp: int) -> Encoded:
     return Encoded("/safety", SAFETY, writer.done())
 
 
-def _summary(plan: Plan, stamp: int, plan_ms: float, config_version: int) -> bytes:
+def _summary(plan: Any, stamp: int, plan_ms: float, config_version: int) -> bytes:
     writer = _Writer()
     writer.header(stamp, WORLD)
     writer.pack("I", len(plan.kinds))
     for kind in plan.kinds:
         writer.text(kind)
     writer.pack("i", int(plan.best), int(plan.status))  # type: ignore[arg-type]
-    for values in (plan.stage2_cost, plan.goal_cost, plan.collision_cost, plan.clearance.min(axis=1)):
+    none = np.zeros(len(plan.kinds), np.float32)
+    terms = (plan.costs.get(name, none) for name in ("goal", "collision"))
+    for values in (plan.cost, *terms, plan.clearance.min(axis=1)):
         writer.array(values, "<f4", counted=True)
     writer.array(plan.command[0], "<f4", counted=False)
     writer.pack("f", plan_ms)
     writer.pack("I", config_version)
+    return writer.done()
+
+
+def _costs(costs: Mapping[str, NDArray[Any]], stamp: int) -> bytes:
+    writer = _Writer()
+    writer.header(stamp, WORLD)
+    writer.pack("I", len(costs))
+    for name in costs:
+        writer.text(name)
+    writer.array(np.concatenate([*costs.values(), np.zeros(0)]), "<f4", counted=True)
     return writer.done()
 
 

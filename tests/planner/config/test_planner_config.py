@@ -9,7 +9,6 @@ from aero_planner.config import ParameterInfo
 from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
 from aero_planner.config.presets import PRESETS
 from aero_planner.registry import names
-from aero_planner.stages.memory.parameters import memory_duration
 
 NUMBERS = [info for info in PlannerConfig.parameters() if info.is_number]
 
@@ -220,9 +219,9 @@ def test_paper_preset_is_the_paper():
 @pytest.mark.parametrize(("limit", "memory"), [(7.0, 3.0), (3.0, 3.0), (2.0, 4.5), (1.0, 9.0), (0.5, 12.0)])
 def test_a_slow_drone_remembers_for_longer(limit: float, memory: float):
     config = PlannerConfig().replace({"vehicle.speed_limit": limit})
-    assert memory_duration(config) == config.memory.duration(limit) == memory
-    assert memory_duration(config.replace({"memory.memory_distance": 0.0})) == 3.0
-    assert memory_duration(config.replace({"stages.active": "way_out"})) == 1.0  # ten sweeps, as in the paper
+    assert config.sweep_memory == config.memory.duration(limit) == memory
+    assert config.replace({"memory.memory_distance": 0.0}).sweep_memory == 3.0
+    assert config.replace({"stages.active": "way_out"}).sweep_memory == 1.0  # ten sweeps, as in the paper
 
 
 def test_stages_have_one_form_and_the_order_in_which_they_act():

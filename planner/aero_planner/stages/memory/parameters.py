@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from aero_planner.parameters import ParameterSection, live
 
 LONGEST_MEMORY = 12.0
 """Largest time for which sweeps are remembered [s]."""
-SHORTEST_MEMORY = 1.0
-"""Time for which sweeps are remembered without the stage [s]: ten sweeps, as in the paper."""
 
 
 @dataclass(frozen=True)
@@ -31,10 +28,3 @@ class Parameters(ParameterSection, section="memory"):
     def duration(self, speed_limit: float) -> float:
         """Return the time for which sweeps are remembered at a speed limit [m/s], in seconds."""
         return max(self.memory_time, min(self.memory_distance / speed_limit, LONGEST_MEMORY))
-
-
-def memory_duration(config: Any) -> float:
-    """Return the time for which a `PlannerConfig` remembers sweeps [s]."""
-    if Parameters.section not in config.stages.names:
-        return SHORTEST_MEMORY
-    return config.memory.duration(config.vehicle.speed_limit)

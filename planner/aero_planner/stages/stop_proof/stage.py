@@ -50,7 +50,7 @@ def _continue(r: Recorder) -> list[list[Launches]]:
 def _shared(r: Recorder, kernel: Any, more: tuple[int, ...], inputs: list[Any]) -> list[list[Launches]]:
     """Record a launch over all stops, in as many shares as there are workers."""
     count, shares = r.sizes.M * _STOPS, r.sizes.W if r.sizes.W == 1 else 4 * r.sizes.W
-    bounds = [count * share // shares for share in range(shares + 1)]
+    bounds = sorted({count * share // shares for share in range(shares + 1)})  # few instances give fewer shares
     return [[
         [r.record(
             kernel, (r.sizes.B, end - first, *more), inputs=[first, r.problem, r.start, r.params, *inputs],

@@ -1,0 +1,138 @@
+"""Planners by name: those that ship, those of entry points, and any class as "module:Class"."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import os
+import sys
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any
+
+from aero_planner.config import DroneConfig, PlannerConfig, did_you_mean
+from aero_viz.errors import UserError
+from aero_viz.planners.planner import Planner
+
+SHIPPED = {
+    "aero_mppi": "aero_viz.planners.aero_mppi:AeroMppi",
+    "single_mppi": "aero_viz.planners.single_mppi:SingleMppi",
+    "primitives": "aero_viz.planners.primitives:Primitives",
+}
+"""Module and class of each planner that ships."""
+_GROUP = "aero_viz.planners"
+_used: set[str] = set()
+"""Names and places of the planners that were loaded."""
+
+
+@functools.cache
+def _known() -> dict[str, str]:
+    return {entry.name: entry.value for entry in entry_points(group=_GROUP)} | SHIPPED
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all planners: shipped, and of entry points in the group `aero_viz.planners`."""
+    return tuple(sorted(_known(), key=lambda name: (name not in SHIPPED, name)))
+
+
+@functools.cache
+def load(name: str) -> type[Planner]:
+    """Return the planner with a name, at a place "module:Class", or in another process, "connect:ADDRESS".
+
+    A module may lie in the current folder.
+
+    Raises:
+        UserError: there is no such planner, or it cannot be imported; says why.
+    """
+    if name.startswith("connect:"):
+        from aero_viz.planners.remote import planner_at
+
+        _used.add(name)
+        return planner_at(name.removeprefix("connect:"))
+    place = _known().get(name, name)
+    module, colon, attribute = place.partition(":")
+    if not colon:
+        raise UserError(
+            f"There is no planner {name!r}{did_you_mean(name, names())}; known: {', '.join(names())}, module:Class, or "
+            "connect:ADDRESS."
+        )
+    try:
+        found = _import(module)
+        for part in attribute.split("."):
+            found = getattr(found, part)
+    except Exception as error:  # whatever a brought module raises
+        raise UserError(f"The planner {name} cannot be imported: {type(error).__name__}: {error}") from error
+    if not (isinstance(found, type) and issubclass(found, Planner)):
+        raise UserError(f"{place} is not a planner; derive it from aero_viz.planners.Planner.")
+    _used.update((name, place, found.Config.planner))
+    return found
+
+
+def load_known(name: str) -> type[Planner]:
+    """Return the planner that a file names. Files may name registered planners, and those that this process uses.
+
+    Raises:
+        UserError: it is neither: a file may not choose which modules are imported.
+    """
+    if name not in (*_known(), *_known().values(), *_used):
+        raise UserError(f"The file is for the planner {name}, which is not registered here; add --planner {name}.")
+    return load(name)
+
+
+def config_type(planner: str, *, of_file: bool = False) -> type[DroneConfig]:
+    """Return the class of a planner's configuration; that of AERO-MPPI without an import of its kernels.
+
+    Args:
+        planner: name of the planner.
+        of_file: True if a file names it, see `load_known`.
+
+    Raises:
+        UserError: there is no such planner.
+    """
+    if planner == PlannerConfig.planner:
+        return PlannerConfig
+    return (load_known if of_file else load)(planner).Config
+
+
+def _import(module: str) -> object:
+    """Import a module that was named on purpose, also from the current folder."""
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != module.partition(".")[0]:
+            raise
+        sys.path.append(os.getcwd())
+        try:
+            return importlib.import_module(module)
+        finally:
+            sys.path.remove(os.getcwd())
+
+
+def name_of(config: DroneConfig | type[DroneConfig]) -> str:
+    """Return the name of the planner that a configuration is for, or its place "module:Class"."""
+    return next((name for name, place in _known().items() if place == config.planner), config.planner)
+
+
+def make(config: DroneConfig, *, device: str = "cpu", seed: int = 0) -> Planner:
+    """Return a new planner with a configuration.
+
+    Raises:
+        UserError: the planner cannot be imported.
+    """
+    return load(config.planner)(config, device=device, seed=seed)
+
+
+def planner_entry(config: DroneConfig) -> dict[str, str]:
+    """Return what a file says of the planner of a configuration besides "config"; nothing for AERO-MPPI."""
+    return {} if config.planner == PlannerConfig.planner else {"planner": config.planner}
+
+
+def config_of_entry(entries: Mapping[str, Any]) -> DroneConfig:
+    """Return the configuration in a file, from its values at "config" and its planner at "planner".
+
+    Raises:
+        UserError: the planner cannot be imported.
+        ValueError: a parameter is unknown, or a value out of bounds.
+    """
+    planner = entries.get("planner", PlannerConfig.planner)
+    return config_type(planner, of_file=True).from_dict(entries["config"])
