@@ -3,7 +3,7 @@
 from pathlib import Path
 
 INSTALLED = (
-    "PIL", "cmaes", "imageio", "laspy", "lazrs", "lz4", "matplotlib", "mcap", "numpy", "optuna", "psutil", "pymavlink",
+    "PIL", "cmaes", "imageio", "landlockpy", "laspy", "lazrs", "lz4", "matplotlib", "mcap", "numpy", "optuna", "psutil", "pymavlink",
     "ray", "rich", "rosbags", "scipy", "sqlalchemy", "trimesh", "tyro", "viser", "warp", "websockets", "yaml",
 )  # fmt: skip
 STANDARD = (
