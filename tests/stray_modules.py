@@ -3,8 +3,9 @@
 from pathlib import Path
 
 INSTALLED = (
-    "PIL", "cmaes", "imageio", "laspy", "lazrs", "lz4", "matplotlib", "mcap", "numpy", "optuna", "psutil", "pymavlink",
-    "ray", "rich", "rosbags", "scipy", "sqlalchemy", "trimesh", "tyro", "viser", "warp", "websockets", "yaml",
+    "PIL", "cmaes", "imageio", "landlockpy", "laspy", "lazrs", "lz4", "matplotlib", "mcap", "numpy", "optuna", "psutil",
+    "pymavlink", "ray", "rich", "rosbags", "scipy", "sqlalchemy", "trimesh", "tyro", "viser", "warp", "websockets",
+    "yaml",
 )  # fmt: skip
 STANDARD = (
     "collections", "ctypes", "dataclasses", "email", "json", "logging", "multiprocessing", "pickle", "random", "select",

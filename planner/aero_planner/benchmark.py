@@ -137,7 +137,7 @@ def elapsed_ms(work: Callable[[], Any], device: str) -> float:
 
 
 def _time_sweeps(
-    planner: Planner, state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int
+    planner: Planner[Any], state: VehicleState, goal: Goal, cloud: NDArray[Any], repeat: int
 ) -> dict[str, list[float]]:
     """Return the times of plans with sweeps that arrive one after another [ms], by the names of `_SWEEP_ROWS`."""
     arriving = itertools.cycle(as_constant(part) for part in np.array_split(cloud, _SWEEPS))

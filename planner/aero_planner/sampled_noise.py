@@ -38,7 +38,7 @@ def draw_noise(
         noise[b, m, k, t] = e
 
 
-def noise_of_next_plan(planner: Planner) -> NDArray[np.float32]:
+def noise_of_next_plan(planner: Planner[Any]) -> NDArray[np.float32]:
     """Return the white noise of unit variance with which a planner samples next, shape [B, M, K, N, 4]."""
     work, sampling = planner.workspace, planner.config.sampling
     shape = work.seed.shape[0], len(planner.config.kinds), sampling.samples, sampling.steps

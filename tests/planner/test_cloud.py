@@ -1,5 +1,7 @@
 """Clouds that the caller writes to `Planner.points`."""
 
+from typing import Any
+
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
@@ -8,7 +10,7 @@ from aero_planner import Goal, Planner, VehicleState
 from tests.planner.cases import batch_of, config_of, random_case
 
 
-def write_points(planner: Planner, points: ArrayLike, first: int = 0) -> None:
+def write_points(planner: Planner[Any], points: ArrayLike, first: int = 0) -> None:
     """Write points [n, 3], or [B, n, 3] for a batch, to the cloud on the device from row `first` on."""
     clouds = np.asarray(points, dtype=np.float32)
     for b, cloud in enumerate(clouds.reshape(-1, *clouds.shape[-2:])):

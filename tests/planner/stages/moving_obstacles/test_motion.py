@@ -110,7 +110,7 @@ def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: 
 def test_stored_sweeps_show_the_same_motion(device: str):
     pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.0]), count=12)
-    single, batch = (Planner(config_of(), device=device, batch=batch) for batch in (None, 2))
+    single, batch = Planner(config_of(), device=device), Planner(config_of(), device=device, batch=2)
     plan_from(single, sweeps, position)
     batch.reserve_sweeps(len(sweeps), sum(map(len, sweeps)))
     for row, (points, arrival) in enumerate(zip(sweeps, sweeps.arrivals, strict=True)):
