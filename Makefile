@@ -1,5 +1,5 @@
 # A newcomer needs `make demo` and `make test` only. Each of them sets up .venv first.
-.PHONY: help demo test test-delicate test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig fuzz soak gallery audit pin release setup setup-dev setup-release clean
+.PHONY: help demo test test-delicate test-clock test-compiling test-lowest test-lowest-files test-lowest-clock check format bench rig faults fuzz soak gallery audit pin release setup setup-dev setup-release clean
 PYTHON_BIN := .venv/bin/python
 ARGS ?=
 # The tests start hundreds of programs. Each would compile all that it imports, which takes longer than most of the tests.
@@ -83,6 +83,9 @@ gallery: setup-dev ## take a picture of every view of the page, into build/galle
 
 rig: setup-dev    ## run the tests that fly the onboard node over sockets, in real time
 	$(PYTHON_BIN) -m pytest -m realtime tests/rig $(ARGS)
+
+faults: setup-dev ## fly a thousand flights with two or three faults each, in simulated time
+	$(PYTHON_BIN) -m tests.rig.fault_flights $(ARGS)
 
 setup-release:
 	@scripts/setup release
