@@ -43,7 +43,7 @@ class LoggedFlight:
     config: DroneConfig
     """Configuration of the last plan."""
     conditions: Mapping[str, Any]
-    """Seed, LiDAR, drone, noise and rules of a simulated flight, and the checksum of its world, by path."""
+    """Planner; seed, LiDAR, drone, noise and rules of a simulated flight, and the checksum of its world, by path."""
 
     @classmethod
     def read(cls, path: str | Path) -> LoggedFlight:
@@ -151,7 +151,7 @@ def _flight(path: Path, contents: LogContents) -> LoggedFlight:
         columns=_columns(contents, world, config),
         outcome=contents.outcome or "cut short",
         config=config,
-        conditions=leaves_by_path(settings),
+        conditions=leaves_by_path({"planner": config.planner, **settings}),
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from small_source import small_config, small_source
 from websockets.sync.connection import Connection
 
-from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_planner.config.file import load_config
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import Baseline, differences
@@ -55,7 +55,7 @@ class WaitingSession(Session):
 
     is_asked, may_configure = threading.Event(), threading.Event()
 
-    def configure(self, change: PlannerConfig | Mapping[str, Any]) -> PlannerConfig:
+    def configure(self, change: DroneConfig | Mapping[str, Any]) -> DroneConfig:
         self.is_asked.set()
         assert self.may_configure.wait(60.0)
         return super().configure(change)

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import Plan
 from aero_viz.dashboard import Dashboard
 from aero_viz.flight import FlightSource
+from aero_viz.planners import Plan
 from aero_viz.session import Observation, Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 

@@ -33,5 +33,5 @@ def test_a_recorded_legend_names_what_is_drawn_at_any_tick_and_has_the_costs_of_
         legend.add(layers, frame)
     labels = [entry.label for entry in legend.entries if isinstance(entry, ColorKey)]
     assert labels == ["chosen rollout", "dynamic obstacles, predicted", "goal"]
-    costs = [frame.plan.stage2_cost for frame in frames]
+    costs = [frame.plan.cost for frame in frames]
     assert legend.ends == [[(f"worst: {cost_text(cost.max())}", f"best: {cost_text(cost.min())}")] for cost in costs]

@@ -29,7 +29,8 @@ def evidence() -> Evidence:
     replan = Replanner()
     evidence = replan(frames[-1])
     replan.close()
-    assert evidence.plan.disturbance is not None and np.linalg.norm(evidence.plan.disturbance) > 0.1
+    assert isinstance(evidence, Evidence) and evidence.plan.disturbance is not None
+    assert np.linalg.norm(evidence.plan.disturbance) > 0.1
     return evidence
 
 

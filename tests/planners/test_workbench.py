@@ -93,6 +93,7 @@ def test_a_log_holds_the_planner_its_costs_by_term_and_its_paths(log: Path):
     np.testing.assert_allclose(sum(plan.costs.values()), plan.stage2_cost, rtol=1e-5)
     comparison = compare_logs(log, log)
     assert comparison.differs_at is None and "No parameter differs." in comparison.format_table()
+    assert comparison.a.conditions["planner"] == "straight:Straight"
 
 
 def test_a_log_is_replayed_with_its_plans_by_any_planner(log: Path):
