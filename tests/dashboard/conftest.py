@@ -1,8 +1,10 @@
 from collections.abc import Iterator
 
 import pytest
+from small_source import small_config, small_source
 
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.session import Session
 
 
 @pytest.fixture
@@ -11,3 +13,20 @@ def server() -> Iterator[LocalServer]:
     server = LocalServer(port=0)
     yield server
     server.stop()
+
+
+@pytest.fixture
+def public() -> Iterator[LocalServer]:
+    """A server that other machines can reach."""
+    server = LocalServer(host="0.0.0.0", port=0)
+    yield server
+    server.stop()
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    """A session after its first tick."""
+    session = Session(small_source(), config=small_config())
+    session.tick()
+    yield session
+    session.close()

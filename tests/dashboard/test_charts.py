@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_source import small_config, small_source
 
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import Dashboard, palette
@@ -20,14 +19,6 @@ from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 from tests.dashboard.page_client import wait_for
-
-
-@pytest.fixture
-def session() -> Iterator[Session]:
-    session = Session(small_source(), config=small_config())
-    session.tick()
-    yield session
-    session.close()
 
 
 @pytest.fixture

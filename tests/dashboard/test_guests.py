@@ -6,7 +6,6 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,14 +18,6 @@ from aero_viz.guests import CLIENTS_MAX, Guests
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 HEADER = bytes([0x82, 0xFF])  # a binary message with a mask, whose size has eight bytes
-
-
-@pytest.fixture
-def public() -> Iterator[LocalServer]:
-    """A server that other machines can reach."""
-    server = LocalServer(host="0.0.0.0", port=0)
-    yield server
-    server.stop()
 
 
 def path(server: LocalServer, *, view_only: bool) -> str:

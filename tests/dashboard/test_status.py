@@ -20,14 +20,6 @@ from aero_viz.session import Session
 
 
 @pytest.fixture
-def session() -> Iterator[Session]:
-    session = Session(small_source(), config=small_config())
-    session.tick()
-    yield session
-    session.close()
-
-
-@pytest.fixture
 def dashboard(session: Session) -> Iterator[Dashboard]:
     dashboard = Dashboard(session, port=0)
     yield dashboard

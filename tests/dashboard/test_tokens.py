@@ -1,7 +1,6 @@
 """Links with tokens, with real requests."""
 
 import http.client
-from collections.abc import Iterator
 
 import pytest
 from websockets import Headers
@@ -10,14 +9,6 @@ from websockets.exceptions import InvalidStatus
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.dashboard.tokens import Role, Tokens
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
-
-
-@pytest.fixture
-def public() -> Iterator[LocalServer]:
-    """A server that other machines can reach."""
-    server = LocalServer(host="0.0.0.0", port=0)
-    yield server
-    server.stop()
 
 
 def query(server: LocalServer, *, view_only: bool = False) -> str:

@@ -49,6 +49,12 @@ def sweeps_of(
     return sweeps, position
 
 
+def closing_in() -> Sweeps:
+    """Return sweeps of pillars on all sides of the origin that close in on it."""
+    axes = [4.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.arange(20) * np.pi / 10]
+    return sweeps_of([(axis, -0.4 * axis) for axis in axes], np.zeros(3))[0]
+
+
 def plan_from(planner: Planner, sweeps: Sweeps, position: Array, *, later: float = 0.0) -> Plan:
     """Plan some time after the last sweep [s]."""
     arrival = sweeps.arrivals[-1]

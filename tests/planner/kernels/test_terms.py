@@ -10,8 +10,8 @@ import pytest
 from aero_planner import Goal, Plan, Planner, PlannerConfig, PlanStatus, VehicleState
 from aero_planner.cost_terms import CostTerms
 from tests.planner import reference
-from tests.planner.cases import assert_same, batch_of, config_of, kept_points, random_case
-from tests.planner.pillars import GOAL, plan_from, sweeps_of
+from tests.planner.cases import assert_same, batch_of, config_of, kept_points, level_case, random_case
+from tests.planner.pillars import GOAL, closing_in, plan_from, sweeps_of
 from tests.planner.reference import Array
 
 
@@ -73,11 +73,7 @@ def braking(device: str, config: PlannerConfig) -> Situation:
 def stopping(device: str, config: PlannerConfig) -> Situation:
     """Return a plan in which the proven stop has replaced the best instance."""
     planner = Planner(config, device=device)
-    case = random_case(0, count=0, tilt=0.0)
-    case.position, case.velocity, case.acceleration = np.zeros(3), np.array([3.0, 0.0, 0.0]), np.zeros(3)
-    case.quaternion, case.goal = np.array([1.0, 0.0, 0.0, 0.0]), np.array([20.0, 0.0, 0.0])
-    axes = [4.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.arange(20) * np.pi / 10]
-    sweeps, _ = sweeps_of([(axis, -0.4 * axis) for axis in axes], np.zeros(3))
+    case, sweeps = level_case(speed=3.0), closing_in()
     arrival = sweeps.arrivals[-1]
     assert arrival is not None
     state = replace(case.state, time=arrival.time)

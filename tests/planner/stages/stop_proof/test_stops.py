@@ -17,7 +17,7 @@ from aero_planner.device.records import Scores, bundle
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.selection import fallback
 from aero_planner.stages.stop_proof.stops import STOPS, StopProof, stop_to_keep
-from tests.planner import reference
+from tests.planner import pillars, reference
 from tests.planner.cases import Case, config_of, kept_points, level_case, random_case, shell
 from tests.planner.pillars import GOAL, plan_from, sweeps_of
 from tests.planner.reference import Array
@@ -162,8 +162,7 @@ def test_a_dynamic_obstacle_that_is_near_at_the_start_may_be_left(device: str):
 
 def closing_in(planner: Planner, *, period: float = 0.02, count: int = 6) -> tuple[list[Plan], list[Array]]:
     """Return plans of a drone on which pillars on all sides close in after the first plan, and the flown positions."""
-    axes = [4.0 * np.array([np.cos(angle), np.sin(angle)]) for angle in np.arange(20) * np.pi / 10]
-    sweeps, _ = sweeps_of([(axis, -0.4 * axis) for axis in axes], np.zeros(3))
+    sweeps = pillars.closing_in()
     arrival = sweeps.arrivals[-1]
     assert arrival is not None
     position, velocity, attitude = np.zeros(3), np.array([3.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])

@@ -70,7 +70,7 @@ def test_a_drone_that_has_passed_its_goal_comes_back(device: str, aside: float):
         x = reference.roll_out(position, attitude, velocity, plan.command[:1].astype(np.float64), config)
         position, velocity, attitude = x.p[-1], x.v[-1], x.q[-1]
         distances.append(np.linalg.norm(position - goal))
-    assert max(distances) > 1.0 and max(distances[130:150]) < 0.3 and max(distances[-100:]) < 0.4
+    assert max(distances) > 1.0 and max(distances[130:]) < 0.3
 
 
 def test_slow_drones_spread_their_anchors(device: str):
