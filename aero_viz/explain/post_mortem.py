@@ -364,10 +364,10 @@ def _stall_cause(
     outcome: str, anchors: list[dict[str, Any]], stops: dict[str, int], ticks: int, to_go: Array, approach: float
 ) -> str:
     name = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}[outcome]
-    if approach > _APPROACH_MIN:
-        return f"{name}: coming nearer to the goal at {approach:.1f} m/s"
     if why := next((why for why, count in stops.items() if count > 0.5 * ticks), None):
         return f"{name}: {why}"
+    if approach > _APPROACH_MIN:
+        return f"{name}: coming nearer to the goal at {approach:.1f} m/s"
     if not any(row["safe"] for row in anchors):
         return f"{name}: every anchor is blocked"
     return f"{name}: {'the way to the goal is blocked' if (to_go > 0.0).all() else 'moving without coming nearer'}"
