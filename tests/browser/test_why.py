@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import ArrayLike
 
 from aero_viz.catalog import open_source
+from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.selection import SelectionLayer
-from aero_viz.dashboard.panels.why_card import figure
 from aero_viz.explain.picking import pick
 from tests.browser.desk import open_desk
 from tests.browser.pictures import count
@@ -63,8 +63,8 @@ def test_a_number_below_the_bars_selects_an_instance_everywhere(desk):
     desk.wait_for(lambda: magenta(desk) > 30, "the selection in the scene")
     frame = desk.session.frame
     text = desk.page.locator(".aero-term-table").inner_text()
-    assert figure(frame.plan.stage2_cost[INSTANCE]) in text
-    assert figure(frame.plan.stage1_cost[INSTANCE].min()) in text
+    assert cost_text(frame.plan.stage2_cost[INSTANCE]) in text
+    assert cost_text(frame.plan.stage1_cost[INSTANCE].min()) in text
 
 
 def test_the_card_follows_a_changed_weight(desk):

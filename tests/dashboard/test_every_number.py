@@ -94,6 +94,7 @@ def test_every_number_is_that_of_planner_and_simulator(name: str, page: Dashboar
     if name == "moving":
         check_that_motion_counts(evidence)
     if name in ("drag", "gusts"):
+        assert evidence.plan.drag is not None and evidence.plan.disturbance is not None
         assert evidence.plan.drag > 0.05 and np.linalg.norm(evidence.plan.disturbance) > 0.01
 
 

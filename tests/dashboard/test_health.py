@@ -1,6 +1,8 @@
 """The health of the planner: what is not healthy gets better by the advice."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from aero_viz.dashboard.history import effective_samples
 from aero_viz.session import Frame, Session
 
 
-def flown(changes: dict[str, object], ticks: int = 25) -> list[Frame]:
+def flown(changes: Mapping[str, Any], ticks: int = 25) -> list[Frame]:
     session = Session(open_source("forest", seed=0), config=PlannerConfig().replace(changes))
     session.judge_candidates().result()
     frames = [session.tick() for _ in range(ticks)]

@@ -27,5 +27,5 @@ def test_each_choice_costs_its_own_s2_by_its_own_weights_and_the_choice_of_a_con
         assert own.collision == pytest.approx(plan.collision_cost[best], rel=1e-4, abs=1e-2)
     assert costs.by_a[1].s2 != pytest.approx(costs.by_b[1].s2, rel=1e-3), "one plan by two sets of weights"
     session.configure({"sampling.steps": 20})
-    assert crossed_costs(replan, a, session.frame) is None
+    assert session.frame is not None and crossed_costs(replan, a, session.frame) is None
     session.close()

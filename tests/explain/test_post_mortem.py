@@ -295,6 +295,7 @@ def test_braking_starts_from_the_true_state_and_the_report_says_what_the_estimat
     report, _ = explain_flight(trace)
     assert report.braking is not None
     at = next(frame for frame in trace.frames if round(frame.time, 3) == report.braking.time_s).observation
+    assert at.true_state is not None
     off = np.linalg.norm(np.subtract(at.state.position, at.true_state.position))
     assert report.braking.estimate_off_m == pytest.approx(off, abs=1e-3) and off > 0.05
     assert report.braking.speed == pytest.approx(np.linalg.norm(at.true_state.velocity))

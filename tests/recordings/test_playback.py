@@ -70,7 +70,7 @@ def test_the_plan_of_a_tick_does_not_depend_on_how_one_came_there(engine: Engine
 
     def move_the_goal() -> None:
         for goal in ([0.0, 30.0, 2.0], None):
-            engine.alter(lambda source, goal=goal: source.set_goal(goal))
+            engine.alter(lambda source, goal=goal: source.set_goal(goal))  # type: ignore[arg-type]
 
     def change_a_weight() -> None:
         for q_track in (1.0, before.costs.q_track):
