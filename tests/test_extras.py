@@ -94,7 +94,7 @@ def run_core(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     "arguments",
     [
         ["fly", "forest", "--rules.time-limit", "0.2", "--json"],
-        ["inspect", str(ROOT / "datasets" / "room_mid360.mcap"), "--json"],
+        ["inspect", str(ROOT / "aero_viz" / "datasets" / "room_mid360.mcap"), "--json"],
         ["parameters"],
     ],
     ids=lambda arguments: arguments[0],
@@ -110,7 +110,7 @@ def test_the_core_is_enough(tmp_path: Path, arguments: list[str]):
         ("pictures", ["snapshot", "forest", "picture.png"]),
         ("tune", ["tune", "forest", "--over", "costs.q_track"]),
         ("ray", ["bench", "success", "--flights", "1", "--ray"]),
-        ("odometry", ["play", str(ROOT / "datasets" / "room_mid360.mcap"), "--odometry", "kiss-icp"]),
+        ("odometry", ["play", str(ROOT / "aero_viz" / "datasets" / "room_mid360.mcap"), "--odometry", "kiss-icp"]),
     ],
 )
 def test_a_command_names_the_extra_that_it_needs(tmp_path: Path, extra: str, arguments: list[str]):

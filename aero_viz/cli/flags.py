@@ -55,7 +55,7 @@ OptionalPose = Annotated[tuple[float, float, float, float, float, float] | None,
 OptionalText = Annotated[str | None, _optional("STR")]
 FoxgloveFlag = Annotated[tuple[int, ...] | None, _optional("[PORT]")]
 """None if the flag is absent, () if it has no port."""
-PlannerName = Annotated[str, tyro.conf.arg(metavar="NAME|MODULE:CLASS")]
+PlannerName = Annotated[str, tyro.conf.arg(metavar="NAME|MODULE:CLASS|connect:ADDRESS")]
 RayFlag = Annotated[tuple[str, ...] | None, _optional("[ADDRESS]")]
 """None if the flag is absent, () if it has no address of a cluster."""
 

@@ -10,6 +10,7 @@ from aero_planner.warp_init import find_device
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.flight.serial import SerialFlights
+from aero_viz.planners.registry import is_aero_mppi
 from aero_viz.scenes import World
 from aero_viz.sensors import LidarModel
 
@@ -50,7 +51,7 @@ class FlightOptions:
 
         Only AERO-MPPI flies all of them at once; flights of other planners follow one another.
         """
-        on_device = [config for config in configs if isinstance(config, PlannerConfig)]
+        on_device = [config for config in configs if isinstance(config, PlannerConfig) and is_aero_mppi(config)]
         if len(on_device) == len(configs):
             return FlightBatch(worlds, config=on_device, seed=seeds, config_names=names, threads=threads, **vars(self))
         return SerialFlights(worlds, configs=configs, seeds=seeds, names=names, options=dict(vars(self)))

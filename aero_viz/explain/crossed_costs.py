@@ -45,8 +45,8 @@ def crossed_costs(replan: Replanner, a: Frame, b: Frame) -> CrossedCosts | None:
     if sections[0] != sections[1] or a.checkpoint is None or b.checkpoint is None:
         return None
     commands = np.stack([frame.plan.command for frame in (a, b)])
-    by_a, by_b = (_choices(replan.costs(frame, commands)) for frame in (a, b))
-    return CrossedCosts(a, b, by_a, by_b)
+    by_a, by_b = (replan.costs(frame, commands) for frame in (a, b))
+    return None if by_a is None or by_b is None else CrossedCosts(a, b, _choices(by_a), _choices(by_b))
 
 
 def _choices(costs: CostTerms) -> tuple[ChoiceCost, ChoiceCost]:

@@ -112,10 +112,11 @@ class Replanner:
             return None
         return dataclasses.replace(frame.observation, state=state).plan_with(planner.core).braking
 
-    def costs(self, frame: Frame, controls: ArrayLike) -> CostTerms:
-        """Return the terms of S2 of controls [n, N, 4] that begin at the tick of a frame of AERO-MPPI."""
+    def costs(self, frame: Frame, controls: ArrayLike) -> CostTerms | None:
+        """Return the terms of S2 of controls [n, N, 4] that begin at the tick of a frame; None if not of AERO-MPPI."""
         planner = self._restored(frame)
-        assert isinstance(planner, AeroMppi)
+        if not isinstance(planner, AeroMppi):
+            return None
         frame.observation.plan_with(planner.core)
         return planner.core.costs_of(controls).of_stage2()
 

@@ -112,9 +112,8 @@ def explain_flight(trace: FlightTrace) -> tuple[PostMortem, PlanEvidence | None]
             "The flight arrived: there is nothing to explain." if outcome == "arrived" else "The flight was not over."
         )
         if outcome == PLANNER_FAILED:
-            return PostMortem(
-                **facts, cause="the planner failed", sentences=[last.explanation or ""], missing=trace.missing
-            ), None
+            why = trace.explanation or last.explanation or "It did not say why."
+            return PostMortem(**facts, cause="the planner failed", sentences=[why], missing=trace.missing), None
         return PostMortem(**facts, cause=None, sentences=[text], missing=trace.missing), None
     replan = Replanner()
     try:

@@ -30,6 +30,7 @@ class FlightTrace:
         frames: frames of the last `KEPT` seconds, in the order of time.
         end: time [s] and true state at the end of the flight, later than the last frame; None if it is not known.
         outcome: how a recorded flight ended; None takes it from the last frame.
+        explanation: what a log says of the end.
         missing: sentences on missing facts.
     """
 
@@ -37,6 +38,7 @@ class FlightTrace:
         self.frames: deque[Frame] = deque()
         self.end: tuple[float, VehicleState] | None = None
         self.outcome: str | None = None
+        self.explanation = ""
         self.missing: list[str] = []
 
     def write(self, frame: Frame) -> None:
@@ -138,7 +140,7 @@ def trace_of_log(path: str | Path, *, device: str = "cpu") -> FlightTrace:
         time = float(poses.times[-1])
         pose = poses.interpolate(time)
         trace.write_pose(time, VehicleState(pose.position, pose.velocity, pose.quaternion))
-    trace.outcome = contents.outcome or None
+    trace.outcome, trace.explanation = contents.outcome or None, contents.explanation or ""
     if not contents.outcome:
         trace.missing.append("The log does not say how the flight ended: it was cut off, or a drone wrote it.")
     if source.info.world is None:

@@ -31,7 +31,7 @@ class Observation:
     sweeps: Sweeps
     """Last sweeps of the LiDAR, world frame [m]; rows with NaN or infinity are ignored."""
     cloud_age: float = 0.0
-    """Time since the newest sweep [s]; the drone brakes when it exceeds partition.cloud_age_max."""
+    """Time since the newest sweep [s]; a planner brakes when it is too old."""
     empty_is_clear: bool = False
     """True if a sweep without points means that nothing is in range of the LiDAR, see `aero_planner.Planner.plan`."""
     ground_height: float | None = None

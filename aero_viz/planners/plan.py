@@ -139,13 +139,12 @@ class CandidatePlan:
         clearance = np.full((M, N), np.nan) if self.clearance is None else self.clearance
         own = {
             "positions": positions,
-            "costs": {
-                name: _checked(f"costs[{name!r}]", cost, (M,), finite=False) for name, cost in self.costs.items()
-            },
+            "costs": {name: _checked(f"costs[{name!r}]", cost, (M,)) for name, cost in self.costs.items()},
             "best": int(self.best),
             "status": PlanStatus(int(self.status)),
             "controls": _checked("controls", controls, (-1, 4)),
             "clearance": _checked("clearance", clearance, (M, N), finite=False),
+            "is_safe": None if self.is_safe is None else np.array(self.is_safe, dtype=bool),
             "kinds": ("path",) * M if self.kinds is None else tuple(map(str, self.kinds)),
         }
         if len(own["kinds"]) != M or (self.is_safe is not None and np.shape(self.is_safe) != (M,)):
@@ -193,10 +192,10 @@ def lacks(plan: Plan, *extensions: str) -> str:
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...], *, finite: bool = True) -> Array:
     """Return values as float32 if they have the shape, with -1 for any size."""
-    array = np.asarray(values, dtype=np.float32)
+    array = np.array(values, dtype=np.float32)
     if array.ndim != len(shape) or any(size not in (-1, given) for size, given in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("any" if size == -1 else str(size) for size in shape)
         raise ValueError(f"{name} has the shape {array.shape}; it must be ({wanted}).")
-    if not (np.isfinite(array).all() if finite else not np.isnan(array).any() or name == "clearance"):
+    if finite and not np.isfinite(array).all():
         raise ValueError(f"{name} has numbers that are not finite.")
     return array

@@ -59,6 +59,7 @@ class PrimitiveSection(ParameterSection, section="paths"):
         "Weight of the distance from the end to that of the last plan.",
         label="Weight of a change",
     )
+    cloud_age_max: float = live(0.5, "s", 0.0, 10.0, "Age of the cloud beyond which the drone brakes.")
     height_min: float = live(0.7, "m", -1e4, 1e4, "Lowest height above the ground.")
     height_max: float = live(1e4, "m", -1e4, 1e4, "Greatest height; in a flight by default the top of the world.")
 
@@ -86,6 +87,7 @@ class Primitives(Planner):
         """Sweeps of the present cloud, each with its thinned points, by their identity."""
         self._tree: KDTree | None = None
         self._sweeps: Any = None
+        self._reach = 0.0
 
     def history(self) -> Array | None:
         return self._end
@@ -117,7 +119,9 @@ class Primitives(Planner):
         }
         moves = len(ends) - 1  # the last path brakes
         cost = np.where(is_safe, sum(costs.values()), np.inf)[:moves]
-        best = int(cost.argmin()) if is_safe[:moves].any() else moves
+        is_stale = observation.cloud_age > paths.cloud_age_max
+        best = int(cost.argmin()) if is_safe[:moves].any() and not is_stale else moves
+        status = PlanStatus.OK if best < moves else PlanStatus.NO_SAFE_CANDIDATE
         self._end = ends[best] if best < moves else None
         done = time.perf_counter()
         return CandidatePlan(
@@ -125,7 +129,7 @@ class Primitives(Planner):
             costs=costs,
             best=best,
             step=_STEP,
-            status=PlanStatus.OK if best < moves else PlanStatus.NO_SAFE_CANDIDATE,
+            status=PlanStatus.STALE_CLOUD if is_stale else status,
             controls=self._controls(times, accelerations[best], observation),
             clearance=clearance,
             is_safe=is_safe,
@@ -139,13 +143,13 @@ class Primitives(Planner):
 
     def _look(self, observation: Observation) -> None:
         """Build the tree of the cloud's points, if a sweep has arrived; points are thinned once per sweep."""
-        if observation.sweeps is self._sweeps:
+        reach = 1.0 + 1.2 * self.config.paths.horizon * self.config.vehicle.speed_limit
+        if observation.sweeps is self._sweeps and reach <= self._reach:
             return
-        self._sweeps = observation.sweeps
+        self._sweeps, self._reach = observation.sweeps, reach
         known = self._thinned
         self._thinned = {id(s): known.get(id(s)) or (s, _thin(s)) for s in observation.sweeps}
         points = np.concatenate([np.zeros((0, 3)), *(thin for _, thin in self._thinned.values())])
-        reach = 1.0 + 1.2 * self.config.paths.horizon * self.config.vehicle.speed_limit
         near = points[np.linalg.norm(points - np.asarray(observation.state.position), axis=1) < reach]
         self._tree = KDTree(near) if len(near) else None
 

@@ -122,6 +122,17 @@ def make(config: DroneConfig, *, device: str = "cpu", seed: int = 0) -> Planner:
     return load(config.planner)(config, device=device, seed=seed)
 
 
+def is_aero_mppi(config: DroneConfig) -> bool:
+    """Return True if the planner of a configuration is that of `aero_planner`, which also flies batches on the device.
+
+    Raises:
+        UserError: the planner cannot be imported.
+    """
+    from aero_viz.planners.aero_mppi import AeroMppi
+
+    return isinstance(config, PlannerConfig) and load(config.planner).plan is AeroMppi.plan
+
+
 def planner_entry(config: DroneConfig) -> dict[str, str]:
     """Return what a file says of the planner of a configuration besides "config"; nothing for AERO-MPPI."""
     return {} if config.planner == PlannerConfig.planner else {"planner": config.planner}

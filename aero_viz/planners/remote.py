@@ -99,6 +99,7 @@ def _parameter(one: dict[str, Any]) -> Any:
 class _History:
     """What the other process wants to be given with its next question."""
 
+    address: str
     value: Any
 
 
@@ -115,10 +116,11 @@ class _RemotePlanner(Planner):
         self._history: Any = None
 
     def history(self) -> _History:
-        return _History(self._history)
+        return _History(self.address, self._history)
 
     def restore(self, history: Any) -> None:
-        self._history = history.value if isinstance(history, _History) else None
+        is_own = isinstance(history, _History) and history.address == self.address
+        self._history = history.value if is_own else None
 
     def reset(self, *, seed: int | None = None) -> None:
         super().reset(seed=seed)

@@ -104,6 +104,7 @@ class Engine:
 
     def replan(self) -> None:
         """Plan the current tick again, from the planner's state before its first plan."""
+        self._leave_failure()
         if self._timeline:
             self._plan(again=self._timeline.current)
 
@@ -123,6 +124,7 @@ class Engine:
         The change belongs to the current tick and those that follow: a return to an earlier one is without it. If the
         change or planning fails, the source is as it was.
         """
+        self._leave_failure()
         before = self.source.checkpoint()
         try:
             change(self.source)
@@ -136,6 +138,11 @@ class Engine:
             if self._timeline:
                 self._timeline.amend(before)
             raise
+
+    def _leave_failure(self) -> None:
+        """Return the source to the tick of the last plan if the planner failed at the one after it."""
+        if self.frame is not None and self.frame.outcome == PLANNER_FAILED and self._timeline:
+            self.source.restore(self._timeline.current.source)
 
     def seek(self, time: float) -> None:
         """Go to the tick at or before `time` [s]."""
@@ -173,7 +180,8 @@ class Engine:
         for reached in range(begin + 1, row + 1):
             assert self.frame is not None
             self.source.advance(self.frame.plan)
-            self._plan(is_shown=reached == row)
+            if self._plan(is_shown=reached == row).outcome == PLANNER_FAILED:
+                return
 
     def _planned_rows(self, times: NDArray[np.float64]) -> tuple[int, int]:
         """Return the rows of the first and the last tick of the timeline of a recording, -1 if it is empty."""
@@ -274,7 +282,7 @@ class Engine:
             explanation=self.source.explanation,
             timings_ms={
                 "observe": 1e3 * (observed - started),
-                "plan": plan.stage_ms["total"],
+                "plan": plan.stage_ms.get("total", 1e3 * (planned - observed)),
                 "advance": advance_ms,
             },
             rate=self._rate(),

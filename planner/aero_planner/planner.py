@@ -376,6 +376,8 @@ class Planner(Generic[_Plan]):
             RuntimeError: another thread is using the planner, or it is closed.
         """
         started, own = time.perf_counter(), self._structure
+        if self._batched and isinstance(points, Sweeps):
+            raise ValueError("sweeps were given for a batch; give a joined cloud for each drone, or use `store_sweep`.")
         checked = check_inputs(state, goal, cloud_age, ground_height, (self._batch,) if self._batched else ())
         host = self._inputs.host()
         for name, value in checked.items():
@@ -411,8 +413,6 @@ class Planner(Generic[_Plan]):
 
     def _write_sweeps(self, sweeps: Sweeps) -> str:
         """Plan from these sweeps, and return the name of the stages to run."""
-        if self._batched:
-            raise ValueError("sweeps were given for a batch; give a joined cloud for each drone, or use `store_sweep`.")
         if self._memory is None or not self._memory.has_room(sweeps):
             largest = max(map(len, sweeps), default=0)
             self.reserve_sweeps(max(len(sweeps), _MIN_SWEEPS), (sweeps.point_count + 2 * largest) * 5 // 4)
@@ -512,6 +512,8 @@ class Planner(Generic[_Plan]):
 def _shows(cloud: Any, position: NDArray[np.float64], empty: bool) -> bool:
     """Return `shows_something` of a cloud that may be on the device."""
     if isinstance(cloud, wp.array):
-        few = (cloud[:_LOOKED_AT] if len(cloud) > _LOOKED_AT else cloud).numpy()
-        cloud = few if np.isfinite(few).all(axis=1).any() else cloud.numpy()
+        few = cloud[:_LOOKED_AT] if len(cloud) > _LOOKED_AT else cloud
+        if shows_something(few.numpy(), position, empty=False):
+            return True
+        cloud = cloud.numpy()
     return shows_something(cloud, position, empty=empty)

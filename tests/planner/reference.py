@@ -201,11 +201,13 @@ def follow_guide(
     config: PlannerConfig,
     disturbance: Array = NO_DISTURBANCE,
     drag: float = 0.0,
+    command: Array | None = None,
 ) -> Array:
     """Return the nominal controls of an anchor, shape [N, 4], from the coefficients of its guide, shape [3, 6].
 
-    `control` is in effect at first.
+    `control` is in effect at first. From `command`, if given, they approach what the guide asks for with the lags.
     """
+    before = command
     dt, N, v = config.sampling.dt, config.sampling.steps, config.vehicle
     lead, q, controls = 2.0 * v.rate_lag, unit(quaternion), []
     limits = np.array([v.rate_xy_max, v.rate_xy_max, v.rate_z_max])
@@ -221,6 +223,9 @@ def follow_guide(
         thrust = np.clip(force((t + 0.5) * dt) @ rotation(q)[:, 2], v.thrust_min, v.thrust_max)
         rates = np.clip([-tilt * y, tilt * x, yaw_rate], -limits, limits)
         command = np.concatenate(([thrust], rates))
+        if before is not None:
+            _, command = follow(before, command, dt, config)
+            before = command
         mean, control = follow(control, command, dt, config)
         q = rk4(np.concatenate((np.zeros(3), q, np.zeros(3))), mean, config)[3:7]
         controls.append(command)

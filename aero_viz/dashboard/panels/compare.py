@@ -19,7 +19,6 @@ from aero_viz.dashboard.panels.charts import flight_table
 from aero_viz.dashboard.panels.status import clearance_text
 from aero_viz.explain.crossed_costs import ChoiceCost, CrossedCosts, crossed_costs
 from aero_viz.explain.evidence import Replanner
-from aero_viz.planners.plan import ensemble
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
@@ -142,9 +141,9 @@ def tick_table(a: Frame, b: Frame, costs: CrossedCosts | None = None) -> str:
     Args:
         a: frame of A.
         b: frame of B.
-        costs: costs of both choices by the weights of each; None leaves them out.
+        costs: costs of both choices by the weights of each; None shows those by their own weights.
     """
-    figures = [_plan(frame) for frame in (a, b)]
+    figures = [_plan(frame, with_costs=costs is None) for frame in (a, b)]
     labels = dict.fromkeys(label for plan in figures for label in plan)
     rows = [(label, *(plan.get(label, "") for plan in figures)) for label in labels]
     if costs is not None:
@@ -163,12 +162,12 @@ def _cost_rows(name: str, choices: tuple[ChoiceCost, ChoiceCost]) -> list[tuple[
     return [(label if i == 0 else f"· {label}", cost_text(x), cost_text(y)) for i, (label, x, y) in enumerate(rows)]
 
 
-def _plan(frame: Frame) -> dict[str, str]:
-    """Return the figures of a plan by their labels, with its costs if its planner cannot weigh those of other plans."""
+def _plan(frame: Frame, *, with_costs: bool) -> dict[str, str]:
+    """Return the figures of a plan by their labels, on request with its costs by its own weights."""
     plan, best, config = frame.plan, int(frame.plan.best), frame.config
     figures = {"chosen instance": f"{best} {plan.kinds[best]}"}
-    if ensemble(plan) is None:
-        figures["cost"] = cost_text(float(plan.cost[best]))
+    if with_costs:
+        figures["cost by its own weights"] = cost_text(float(plan.cost[best]))
         figures |= {f"· {name}": cost_text(float(cost[best])) for name, cost in plan.costs.items()}
     figures["clearance of the plan [m]"] = clearance_text(frame).replace("≥", "≥ ")
     figures["speed at its end [m/s]"] = f"{np.linalg.norm(plan.velocities[best, -1]):.2f}"

@@ -28,7 +28,7 @@ from aero_viz.flight import FlightBatch, FlightInterrupted, FlightRules, StateNo
 from aero_viz.flight.batch import BatchProgress
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.serial import SerialFlights
-from aero_viz.planners.registry import name_of, planner_entry
+from aero_viz.planners.registry import is_aero_mppi, name_of, planner_entry
 from aero_viz.scenes import World, scene
 from aero_viz.seed_range import check_seed
 from aero_viz.sensors import lidar_model
@@ -341,7 +341,7 @@ def _plan_flights(
 ) -> Iterator[_PlannedFlight]:
     """Yield all flights in the order of flying: those of rows that can share a batch are adjacent."""
     groups: dict[tuple[Any, ...], list[tuple[Row, DroneConfig, VehicleModel, FlightRules]]] = {}
-    if not isinstance(base, PlannerConfig) and (rows := [row for row in benchmark.rows if row.batch or row.sudden]):
+    if not is_aero_mppi(base) and (rows := [row for row in benchmark.rows if row.batch or row.sudden]):
         raise UserError(
             f"{benchmark.name} flies batches on the device, as in the row {rows[0].label!r}, which {name_of(base)} "
             "cannot; choose another benchmark, or AERO-MPPI."

@@ -56,7 +56,8 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     LANES = wp.constant(tuning.threads_per_instance)
     refine = safe_anchor(tuning.threads_per_instance)
     model = composition.model
-    constants, step, follow, mean_of = model.constants, model.step, model.follow, mean_control(model)
+    constants, step, follow, respond = model.constants, model.step, model.follow, model.respond
+    mean_of = mean_control(model)
 
     @wp.kernel(module="unique", enable_backward=False)
     def make_guides(
@@ -121,8 +122,13 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             v = v0
             q = q0
             acting = start.control[b]
+            before = start.command[b]
             for t in range(nominal_controls.shape[2]):
                 u = follow(p, v, q, acting, curve, float(t) * c.dt, yaw_rate, k, c)
+                # Where jumps have a price, controls approach what the guide asks for. Braking begins at once.
+                if m < anchor_count and c.q_control_jump > 0.0:
+                    u = respond(u, before, c.dt, c)
+                before = u
                 nominal_controls[b, m, t] = u
                 p, v, q, acting = step(p, v, q, acting, u, k)
 

@@ -137,6 +137,10 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
                 acting[axis, j] = start.control[b][axis]
                 u[axis, j] = start.command[b][axis]
         S = Reals()
+        # Where jumps have a price, a sample without noise lets commands continue if no other one is better.
+        noisy = Reals(1.0)
+        if group == 0 and c.q_control_jump > 0.0:
+            noisy[0] = 0.0
         innovation = float(1.0)
         u_next = nominal_controls[b, m, 0]
         p_next = guides[b, m, 1]
@@ -159,7 +163,7 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
                 e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + innovation * wp.vec4(
                     drawn[0, j], drawn[1, j], drawn[2, j], drawn[3, j]
                 )
-                s.u = clamp(u_nominal + wp.cw_mul(sigma, e), c)
+                s.u = clamp(u_nominal + noisy[j] * wp.cw_mul(sigma, e), c)
                 s.u_before = wp.vec4(u[0, j], u[1, j], u[2, j], u[3, j])
                 p = wp.vec3(x[0, j], x[1, j], x[2, j])
                 v = wp.vec3(x[3, j], x[4, j], x[5, j])

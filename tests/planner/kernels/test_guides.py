@@ -75,14 +75,15 @@ def test_nominal_controls_follow_the_guide_from_the_control_in_effect(device: st
     planner = Planner(config, device=device)
     case.plan(planner)
     plan = case.plan(planner)  # 0.02 s later
-    control = planner.workspace.control.numpy()[0].astype(float)
+    control, command = (getattr(planner.workspace, name).numpy()[0].astype(float) for name in ("control", "command"))
     q_goal, R = case.full_goal()[2], reference.rotation(reference.unit(case.quaternion))
     turn = 2.0 * np.arctan2(q_goal[3], q_goal[0]) - np.arctan2(R[1, 0], R[0, 0])
     yaw_rate = ((turn + np.pi) % (2 * np.pi) - np.pi) / config.horizon
     assert np.abs(control[1:3]).max() > 0.1
     for m in range(config.anchor_count):
         coefficients = plan.guide_coefficients[m].astype(np.float64)
-        expected = reference.follow_guide(coefficients, case.quaternion, yaw_rate, control, config)
+        before = command if config.costs.q_control_jump else None
+        expected = reference.follow_guide(coefficients, case.quaternion, yaw_rate, control, config, command=before)
         np.testing.assert_allclose(nominal(planner)[m], expected, atol=2e-3)
 
 

@@ -108,6 +108,15 @@ def test_the_jump_of_the_rates_counts_in_both_stages(device: str):
     np.testing.assert_allclose(plan.stage2_cost, jumps, rtol=1e-5, atol=1e-5)
 
 
+@pytest.mark.parametrize("q_jump", [0.0, 2.0])
+def test_where_jumps_cost_the_first_sample_has_no_noise(device: str, q_jump: float):
+    planner = Planner(config_of(costs__q_control_jump=q_jump), device=device)
+    plan = random_case(0).plan(planner)
+    nominal = planner.workspace.nominal_controls.numpy()[0, : len(plan.kinds)]
+    is_nominal = np.isclose(sampled_controls(planner, plan), nominal[:, :, None], atol=1e-6).all(axis=(1, 3))
+    assert is_nominal[:, 0].all() == (q_jump > 0.0) and not is_nominal[:, 1:].any()
+
+
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, seed: int):
