@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import time
 import weakref
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
@@ -183,8 +184,10 @@ class Comparison:
         elif self._planner.config is not self.pinned:
             self._planner = reconfigured(self._planner, self.pinned, device=self._device, seed=self._engine.seed)
         self._planner.restore(history)
+        started = time.perf_counter()
         plan = self._planner.attempt(frame.observation)
-        timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", 0.0)}
+        measured = 1e3 * (time.perf_counter() - started)
+        timings = {**frame.timings_ms, "plan": plan.stage_ms.get("total", measured)}
         is_safe = self._engine.judge(self._planner, plan)
         return dataclasses.replace(frame, plan=plan, config=self.pinned, timings_ms=timings, is_safe=is_safe)
 

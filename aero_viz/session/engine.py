@@ -274,7 +274,7 @@ class Engine:
             explanation=self.source.explanation,
             timings_ms={
                 "observe": 1e3 * (observed - started),
-                "plan": plan.stage_ms["total"],
+                "plan": plan.stage_ms.get("total", 1e3 * (planned - observed)),
                 "advance": advance_ms,
             },
             rate=self._rate(),
