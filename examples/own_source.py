@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from aero_planner import Goal, Plan, Sweeps, VehicleState
+from aero_planner import Goal, Sweeps, VehicleState
+from aero_viz.planners import Plan
 from aero_viz.session import Session
 from aero_viz.session.source import Observation, SourceInfo
 

@@ -15,7 +15,8 @@ from documents import IGNORED, PATHS, ROOT, TEXTS, blocks, code, commands, prose
 
 from aero_planner.cli import make_parser
 from aero_planner.config import PlannerConfig
-from aero_planner.onboard.settings import OnboardConfig, load_any
+from aero_planner.onboard.flight_config import load_any
+from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.cli.commands import COMMANDS
 from aero_viz.cli.parser import parse
 from aero_viz.flight import FlightRules, StateNoise, VehicleModel

@@ -29,7 +29,7 @@ def config_for_drone(config: Config, *, lidar: LidarModel, vehicle: VehicleModel
     return _with_facts(config, _facts(config, lidar=lidar, vehicle=vehicle, world=world))
 
 
-def config_for_flight(config: DroneConfig, flight: SourceInfo) -> DroneConfig:
+def config_for_flight(config: Config, flight: SourceInfo) -> Config:
     """Return `config` with the facts of a `FlightSource`, see `config_for_drone`; unchanged for a recording."""
     return _with_facts(config, _known(config, flight))
 

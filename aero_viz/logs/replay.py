@@ -76,9 +76,10 @@ class FlightReplay(RecordingSource):
         observation = super().observe()
         if self._world is None:
             return observation
+        # The log of a simulated flight: a sweep without points is one in the open.
         row = bisect.bisect_right(self._changes, observation.time + 1e-6, key=lambda change: change[0]) - 1
         world = self._changes[row][1] if row >= 0 else self._world
-        return dataclasses.replace(observation, ground_height=world.ground_height, world=world)
+        return dataclasses.replace(observation, ground_height=world.ground_height, world=world, empty_is_clear=True)
 
     @property
     def explanation(self) -> str | None:

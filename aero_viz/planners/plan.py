@@ -83,7 +83,7 @@ class Plan(Protocol):
 
     @property
     def stage_ms(self) -> Mapping[str, float]:
-        """Time of each stage of planning, and "total" [ms]."""
+        """Time of each stage of planning, and "total" [ms]; a session measures the total of a plan that has none."""
         ...
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.costs.cost_term import CostTerm
 from aero_planner.device.records import bundle
@@ -73,13 +73,13 @@ def evaluate_terms(recorder: Recorder, instances: Sequence[int], samples: Sequen
     return evaluate_controls(r, [(0, m) for m in (*flown_rows, *(m for m, _ in samples))], controls)
 
 
-def evaluate_controls(recorder: Recorder, rows: Sequence[tuple[int, int]], controls: Sequence[Any]) -> CostTerms:
+def evaluate_controls(recorder: Recorder, rows: Sequence[tuple[int, int]], controls: ArrayLike) -> CostTerms:
     """Return the terms of rollouts from the start of the last plan.
 
     Args:
         recorder: arrays of the planner.
         rows: drone, and instance whose guide is tracked, of each.
-        controls: their controls, each of shape [N, 4].
+        controls: their controls, shape [n, N, 4].
     """
     r, device, count = recorder, recorder.params.device, len(rows)
     steps, terms = r.sizes.N, r.composition.terms

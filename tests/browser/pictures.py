@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner import Plan
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.rollouts import cost_scale
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW
+from aero_viz.planners import Plan
 
 Image = NDArray[np.uint8]
 

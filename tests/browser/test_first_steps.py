@@ -39,7 +39,10 @@ def test_a_newcomer_finds_why_a_flight_fails_changes_it_checks_keeps_and_sends_i
         desk.choose("Preset", "default")
         desk.wait_for(lambda: desk.session.config.stop_proof.prove_stop, "the default configuration")
         desk.click("Restart")
-        desk.wait_for(lambda: desk.session.playing and desk.session.frame.outcome is None, "the flight again")
+        desk.wait_for(
+            lambda: desk.session.playing and (now := desk.session.frame) is not None and now.outcome is None,
+            "the flight again",
+        )
         assert end_of_flight(desk) == "arrived"
 
         for seed in (2, 3):

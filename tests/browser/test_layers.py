@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
 from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
@@ -102,8 +103,9 @@ def test_every_layer_of_a_flight_has_its_switch_tested(bare):
 def test_what_moves_is_drawn_where_it_is_predicted(browser):
     with open_desk(browser, FlightSource(scene("moving", seed=3)), ticks=150, layers=["motion"]) as desk:
         frame = desk.session.frame
-        assert frame is not None and frame.plan.moving is not None and len(frame.plan.moving.radii) > 0
-        look_at = np.array([*frame.plan.moving.positions[0], np.asarray(frame.observation.actual_state.position)[2]])
+        moving = plan_of(frame).moving
+        assert frame is not None and moving is not None and len(moving.radii) > 0
+        look_at = np.array([*moving.positions[0], np.asarray(frame.observation.actual_state.position)[2]])
 
         def drawn() -> int:
             return count(desk.render(np.add(look_at, (-3.0, 0.0, 3.0)), look_at), palette.MOVING)

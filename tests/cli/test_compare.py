@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from command_line import run, run_json, run_refused
+from ensemble_plans import plan_of
 from small_source import small_config, small_source
 
 from aero_planner import PlanStatus
@@ -86,7 +87,7 @@ def test_ticks_without_a_safe_candidate_are_those_of_the_planner(tmp_path, capsy
             frame = session.tick()
             assert (frame.plan.clearance.min(axis=1) >= frame.config.candidates.safe_clearance).any()
             status = PlanStatus.NO_SAFE_CANDIDATE if tick in (2, 3) else frame.plan.status
-            log.write(dataclasses.replace(frame, plan=dataclasses.replace(frame.plan, status=status)))
+            log.write(dataclasses.replace(frame, plan=dataclasses.replace(plan_of(frame), status=status)))
     session.close()
     assert run_json(capsys, "compare", str(path), str(path))["a"]["unsafe_ticks"] == 2
 

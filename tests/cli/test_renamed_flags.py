@@ -1,6 +1,7 @@
 import pytest
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_planner.config.old_names import REMOVED, RENAMED
 from aero_viz.cli.flags import ConfigFlags, Inline
 from aero_viz.cli.parser import Command, parse
@@ -9,9 +10,9 @@ from aero_viz.errors import UserError
 from tests.planner.config_cases import other_value
 
 
-def load(*arguments: str) -> PlannerConfig:
+def load(*arguments: str) -> DroneConfig:
     """Return the configuration of a command line, which may have old names."""
-    loaded: list[PlannerConfig] = []
+    loaded: list[DroneConfig] = []
 
     def plan(flags: Inline[ConfigFlags]) -> None:
         loaded.append(flags.load())

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ensemble_plans import full, plan_of
 from small_source import small_source
 
 from aero_planner import PlannerConfig, PlanStatus
@@ -77,7 +78,7 @@ def test_every_number_is_that_of_planner_and_simulator(name: str, page: Dashboar
     session.judge_candidates().result()
     frames = [session.tick() for _ in range(condition.get("ticks", 30))]
     replan, trace = Replanner(), FlightTrace()
-    evidence = replan(frames[-1])
+    evidence = full(replan(frames[-1]))
     check_evidence(evidence)
     for m in range(len(evidence.plan.kinds)):
         check_card(evidence, m)
@@ -193,7 +194,7 @@ def content_of(page: Dashboard, kind: type, frame: Frame) -> str:
 
 
 def check_figures(page: Dashboard, frame: Frame, truth: dict[str, float]) -> None:
-    content, plan, best = content_of(page, StatusPanel, frame), frame.plan, int(frame.plan.best)
+    content, plan, best = content_of(page, StatusPanel, frame), plan_of(frame), int(frame.plan.best)
     shown = re.sub(" +", " ", unescape(re.sub("<[^>]*>", " ", content)))
 
     def figure(label: str) -> float:
@@ -239,7 +240,7 @@ def check_figures(page: Dashboard, frame: Frame, truth: dict[str, float]) -> Non
 def check_curves(page: Dashboard, frame: Frame, truth: dict[str, float]) -> None:
     page.history.add(frame)
     shown = unescape(re.sub("<[^>]*>", " ", content_of(page, ChartPanel, frame)))
-    plan, best = frame.plan, int(frame.plan.best)
+    plan, best = plan_of(frame), int(frame.plan.best)
     weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / frame.config.sampling.temperature)
     expected = {
         r"speed \[m/s\]": (truth["speed"], 0.006),

@@ -6,11 +6,19 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
+from small_source import small_config, small_source
+from straight import StraightConfig
 
 from aero_planner import PlannerConfig
+from aero_planner.config import DroneConfig
 from aero_viz.catalog import open_source
+from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.health import readings
 from aero_viz.dashboard.history import effective_samples
+from aero_viz.dashboard.panels.health import HealthPanel
+from aero_viz.planners import CandidatePlan, load
+from aero_viz.planners.single_mppi import SingleMppiConfig
 from aero_viz.session import Frame, Session
 
 
@@ -39,12 +47,12 @@ def test_the_default_takes_the_best_sample_alone_and_the_advised_temperature_men
     assert before.advice.text(frames[-1].config).startswith("Try Temperature lambda: 0.003 → ")
     after = flown({before.advice.path: before.advice.value})
     assert reading(after[-10:], "effective samples").is_healthy
-    size = effective_samples(after[-1].plan, int(after[-1].plan.best), before.advice.value)
+    size = effective_samples(plan_of(after[-1]), plan_of(after[-1]).best, before.advice.value)
     assert size > 0.03 * 128
 
 
 def test_the_figures_are_those_of_the_plans(frames):
-    found, plans = {r.label: r for r in readings(frames)}, [frame.plan for frame in frames]
+    found, plans = {r.label: r for r in readings(frames)}, [plan_of(frame) for frame in frames]
     config = frames[-1].config
     safe = np.mean([frame.is_safe.mean() for frame in frames if frame.is_safe is not None])
     assert found["safe candidates"].value == f"{safe:.0%}"
@@ -85,3 +93,70 @@ def test_a_plan_that_takes_longer_than_its_period_asks_for_fewer_samples(frames)
     found = reading(slow, "plan time")
     assert found.value == "45.0 of 20 ms" and found.advice is not None
     assert (found.advice.path, found.advice.value) == ("sampling.samples", 64)
+
+
+def flown_by(config: DroneConfig, ticks: int = 4) -> list[Frame]:
+    session = Session(small_source(), config=config)
+    session.judge_candidates().result()
+    frames = [session.tick() for _ in range(ticks)]
+    session.close()
+    return frames
+
+
+def with_plans(frames: list[Frame], **changes: Any) -> list[Frame]:
+    """Return frames of another planner with other plans."""
+
+    def changed(plan: object) -> CandidatePlan:
+        assert isinstance(plan, CandidatePlan)
+        return dataclasses.replace(plan, **changes)
+
+    return [dataclasses.replace(frame, plan=changed(frame.plan)) for frame in frames]
+
+
+@pytest.mark.parametrize("config", [StraightConfig(), load("primitives").Config()], ids=["straight", "primitives"])
+def test_of_another_planner_the_figures_are_those_that_hold_for_every_plan(config: DroneConfig):
+    frames = flown_by(config)
+    assert [r.label for r in readings(frames)] == ["spread of costs", "safe candidates", "plan time"]
+    safe = [frame.is_safe for frame in frames if frame.is_safe is not None]
+    assert len(safe) == len(frames) and reading(frames, "safe candidates").value == f"{np.mean(safe):.0%}"
+    costs = [frame.plan.cost[good] for frame, good in zip(frames, safe, strict=True)]
+    spread = np.mean([(np.median(cost) - cost.min()) / max(cost.min(), 1.0) for cost in costs])
+    assert reading(frames, "spread of costs").value == f"{spread:.1%}"
+    slow = reading([dataclasses.replace(frame, timings_ms={"plan": 45.0}) for frame in frames], "plan time")
+    assert not slow.is_healthy and slow.advice is None and slow.meaning.endswith("for its period.")
+    unsafe = [dataclasses.replace(frame, is_safe=np.zeros(len(frame.plan.kinds), dtype=np.bool_)) for frame in frames]
+    advice = reading(unsafe, "safe candidates").advice
+    assert advice is not None and config.replace({advice.path: advice.value}) != config
+    assert advice.text(config).startswith("Try Speed limit [m/s]: ")
+
+
+def test_what_is_infinite_unknown_or_no_choice_is_no_figure():
+    frames = flown_by(StraightConfig())
+    shut = with_plans(frames, costs={"goal": np.array([2.0, np.inf])}, is_safe=None)
+    unknown = [dataclasses.replace(frame, is_safe=None) for frame in shut]
+    assert reading(unknown, "safe candidates").value == "at most 100%"
+    assert reading(unknown, "spread of costs").value == "0.0%"
+    nothing = with_plans(frames, costs={"goal": np.array([np.inf, np.inf])})
+    assert [r.label for r in readings(nothing)] == ["safe candidates", "plan time"]
+    labels = [r.label for r in readings(flown_by(SingleMppiConfig()))]
+    assert "effective samples" in labels and "spread of S2" not in labels, "one candidate is no choice"
+
+
+def test_the_page_shows_the_health_of_another_planner_also_after_that_of_aero_mppi():
+    session = Session(small_source())
+    dashboard = Dashboard(session, port=0)
+    try:
+        (panel,) = (panel for panel in dashboard.panels if isinstance(panel, HealthPanel))
+        for config, has_samples in ((small_config(), True), (load("primitives").Config(), False)):
+            changes = []
+            for frame in flown_by(config):
+                unsafe = np.zeros(len(frame.plan.kinds), dtype=np.bool_)
+                changes = panel.update(dataclasses.replace(frame, is_safe=unsafe))
+            texts = " ".join(str(value) for _, name, value in changes if name == "content")
+            assert "safe candidates" in texts and "plan time" in texts
+            assert ("effective samples" in texts) == has_samples
+            labels = [str(value) for _, name, value in changes if name == "label"]
+            assert any(label.startswith("Try Speed limit") for label in labels)
+    finally:
+        dashboard.close()
+        session.close()

@@ -2,6 +2,7 @@ import functools
 from collections.abc import Iterator
 
 import pytest
+from ensemble_plans import full
 
 from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
@@ -30,6 +31,6 @@ def evidence_of(scene: str, ticks: int, every: int, preset: str = "default") -> 
     )
     frames = [session.tick() for _ in range(ticks)][every - 1 :: every]
     session.close()
-    evidence = tuple(map(replanner, frames))
+    evidence = tuple(full(replanner(frame)) for frame in frames)
     replanner.close()
     return evidence

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
 
 from aero_planner import PlannerConfig, PlanStatus, Sweeps
 from aero_viz.dashboard import palette
@@ -182,7 +183,7 @@ def report_with_stale_clouds(trace: FlightTrace) -> PostMortem:
     stale = FlightTrace()
     stale.end = trace.end
     for frame in trace.frames:
-        stale.write(dataclasses.replace(frame, plan=dataclasses.replace(frame.plan, status=PlanStatus.STALE_CLOUD)))
+        stale.write(dataclasses.replace(frame, plan=dataclasses.replace(plan_of(frame), status=PlanStatus.STALE_CLOUD)))
     return explain_flight(stale)[0]
 
 

@@ -66,7 +66,7 @@ def test_goal_and_plan_of_every_tick_are_those_of_the_log(flown, replay):
         best = int(frame.plan.best)
         assert (plan.best, plan.kinds, plan.status) == (best, frame.plan.kinds, frame.plan.status)
         np.testing.assert_allclose(plan.path, frame.plan.positions[best], atol=1e-5)
-        np.testing.assert_allclose(plan.stage2_cost, frame.plan.stage2_cost, rtol=1e-6)
+        np.testing.assert_allclose(plan.stage2_cost, frame.plan.cost, rtol=1e-6)
         goals.add(tuple(np.round(observation.goal.position, 6)))
         assert observation.ground_height == frame.observation.ground_height
     assert goals == {tuple(np.round(frame.observation.goal.position, 6)) for frame in frames[10:] + frames[:9]}

@@ -80,6 +80,7 @@ def test_a_and_b_are_compared_also_if_a_is_for_another_planner():
         a = session.comparison.frame
         assert a is not None and session.frame is not None and a.config == StraightConfig()
         assert not np.array_equal(a.plan.command, session.frame.plan.command)
+        assert "total" not in a.plan.stage_ms and a.timings_ms["plan"] > 0.0 < session.frame.timings_ms["plan"]
         session.comparison.pin(small_config())
         session.comparison.work()
         assert session.comparison.frame is not None and "anchors" in session.comparison.frame.plan.extensions

@@ -7,6 +7,7 @@ from pathlib import Path
 import bags
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
 from mcap.writer import CompressionType
 from small_source import small_config
 
@@ -77,21 +78,21 @@ def test_the_plan_of_a_tick_does_not_depend_on_how_one_came_there(engine: Engine
             configs.change({"costs.q_track": q_track})
             engine.tick()
 
-    expected = [engine.tick() for _ in range(13)][-1].plan
+    expected = plan_of([engine.tick() for _ in range(13)][-1])
     before = engine.planned_config
     for row, way in ((8, engine.tick), (3, skip), (5, move_the_goal), (6, change_a_weight), (25, engine.tick)):
         seek(row)
         way()
         seek(12)
         assert engine.frame is not None and engine.frame.index == 12
-        np.testing.assert_array_equal(engine.frame.plan.controls, expected.controls, err_msg=str(way))
+        np.testing.assert_array_equal(plan_of(engine.frame).controls, expected.controls, err_msg=str(way))
     seek(9)
     played = [engine.tick() for _ in range(3)][-1]
     assert played.index == 12
-    np.testing.assert_array_equal(played.plan.controls, expected.controls)
+    np.testing.assert_array_equal(plan_of(played).controls, expected.controls)
     seek(20)
     engine.step_back(8)
-    np.testing.assert_array_equal(engine.frame.plan.controls, expected.controls)
+    np.testing.assert_array_equal(plan_of(engine.frame).controls, expected.controls)
 
 
 def test_index_and_time_after_skipped_ticks_are_those_of_the_row(engine: Engine):

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
 from small_source import small_config, small_source, wait_for
 
 from aero_viz.errors import UserError
@@ -78,7 +79,7 @@ def test_a_flies_as_the_session_itself_would_and_leaves_it_where_it_is(session):
     assert [frame.time for frame in flown] == pytest.approx([frame.time for frame in expected[7:]])
     for mine, theirs in zip(flown, expected[7:], strict=True):
         np.testing.assert_array_equal(mine.observation.state.position, theirs.observation.state.position)
-        np.testing.assert_array_equal(mine.plan.controls, theirs.plan.controls)
+        np.testing.assert_array_equal(plan_of(mine).controls, plan_of(theirs).controls)
     assert flown[-1].outcome == expected[-1].outcome == "arrived"
     again = session.tick()
     assert again.index == before.index + 1 and again.config.vehicle.speed_limit == 2.0

@@ -11,6 +11,7 @@ from contextlib import closing, suppress
 
 import numpy as np
 import pytest
+from ensemble_plans import plan_of
 
 from aero_planner import PlannerConfig
 from aero_planner.onboard.interfaces import PlanRecord
@@ -38,7 +39,7 @@ def test_frames_hold_the_drones_plans(telemetry: Telemetry, records: list[PlanRe
         assert frame.index == record.number and frame.config == SMALL
         np.testing.assert_array_equal(frame.plan.positions, record.plan.positions)
         np.testing.assert_array_equal(frame.plan.command, record.plan.command)
-        np.testing.assert_array_equal(frame.plan.continued_cells, record.plan.continued_cells)
+        np.testing.assert_array_equal(plan_of(frame).continued_cells, record.plan.continued_cells)
         np.testing.assert_array_equal(frame.plan.disturbance, record.plan.disturbance)
         assert frame.plan.drag == record.plan.drag
         assert frame.plan.status is record.plan.status and frame.plan.kinds == record.plan.kinds
@@ -63,8 +64,8 @@ def test_a_plan_of_an_older_node_says_nothing_of_continued_cells(records: list[P
         with closing(NodeClient("127.0.0.1", server.getsockname()[1])) as client:
             frame = next(iter(client))
         thread.join()
-    assert isinstance(frame, Frame) and frame.plan.continued_cells is None
-    np.testing.assert_array_equal(frame.plan.fine_range, records[0].plan.fine_range)
+    assert isinstance(frame, Frame) and plan_of(frame).continued_cells is None
+    np.testing.assert_array_equal(plan_of(frame).fine_range, records[0].plan.fine_range)
 
 
 _LOST_LINK = """

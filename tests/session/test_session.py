@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from ensemble_plans import plan_of
 from small_source import small_config, small_source, wait_for
 
 from aero_planner import PlannerConfig
@@ -49,7 +50,9 @@ class Shortsighted(FlightSource):
 
 
 def same_plan(a: Frame, b: Frame) -> bool:
-    return np.array_equal(a.plan.controls, b.plan.controls) and np.array_equal(a.plan.positions, b.plan.positions)
+    return np.array_equal(plan_of(a).controls, plan_of(b).controls) and np.array_equal(
+        a.plan.positions, b.plan.positions
+    )
 
 
 def run(session: Session, count: int) -> list[Frame]:
@@ -68,9 +71,9 @@ def test_a_flight_arrives_and_further_ticks_return_its_last_frame(session: Sessi
 
 def test_frames_do_not_change_after_they_are_published(session: Session):
     first = session.tick()
-    controls, points = first.plan.controls.copy(), first.observation.points.copy()
+    controls, points = plan_of(first).controls.copy(), first.observation.points.copy()
     run(session, 5)
-    np.testing.assert_array_equal(first.plan.controls, controls)
+    np.testing.assert_array_equal(plan_of(first).controls, controls)
     np.testing.assert_array_equal(first.observation.points, points)
     assert len(first.trail) == 1
 
@@ -114,13 +117,13 @@ def test_a_weight_changes_the_plan_while_paused_and_undo_restores_it(live: Sessi
 
 def test_a_structural_change_takes_effect_while_paused(live: Session):
     live.configure({"sampling.samples": 8, "anchors.columns": 3})
-    wait_for(lambda: live.frame is not None and live.frame.plan.stage1_cost.shape == (3 * 3 + 1, 8))
+    wait_for(lambda: live.frame is not None and plan_of(live.frame).stage1_cost.shape == (3 * 3 + 1, 8))
 
 
 def test_undoing_a_structural_change_restores_the_plan(session: Session):
     before = run(session, 4)[-1]
     session.configure({"sampling.steps": 20})
-    assert session.frame is not None and session.frame.plan.controls.shape[1] == 20
+    assert session.frame is not None and plan_of(session.frame).controls.shape[1] == 20
     session.undo()
     assert same_plan(session.frame, before)
 
@@ -216,7 +219,7 @@ def test_a_failed_structural_change_leaves_the_last_good_one(session: Session, m
     monkeypatch.setattr("aero_planner.structure.allocate", out_of_memory)
     session.configure({"sampling.samples": 2000})
     assert session.config == good
-    assert run(session, 2)[-1].plan.stage1_cost.shape == (16, 16)
+    assert plan_of(run(session, 2)[-1]).stage1_cost.shape == (16, 16)
     assert session.undo() == session.config == small_config()
 
 
@@ -267,10 +270,10 @@ def test_subscribers_hear_of_every_pause_and_resumption(live: Session):
 
 
 def test_frames_include_samples_on_request(live: Session):
-    assert live.frame is not None and live.frame.plan.samples is None
+    assert plan_of(live.frame).samples is None
     live.set_samples(True).result()
-    assert live.frame.plan.samples is not None
-    assert live.frame.plan.samples.shape == (16, 16, 26, 3)
+    samples = plan_of(live.frame).samples
+    assert samples is not None and samples.shape == (16, 16, 26, 3)
 
 
 def test_a_new_source_starts_from_its_beginning(live: Session):

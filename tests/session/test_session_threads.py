@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from small_source import small_config, small_source
 
-from aero_planner import Plan
 from aero_viz.flight import FlightSource
+from aero_viz.planners import Plan
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
 

@@ -88,7 +88,8 @@ class RolloutLayer(Layer):
         scale = cost_scale(plan, by=self.color_by.value)
         colors = palette.as_rgb(palette.colorize(scale, 0.0, 1.0, palette.COST))
         height = 1.0 - 0.9 * cost_scale(plan, by="log cost")
-        terms = {**plan.costs, "other terms": plan.cost - sum(plan.costs.values())}
+        others = {} if ensemble(plan) is None else {"other terms": plan.cost - sum(plan.costs.values())}
+        terms = {**plan.costs, **others}
         clearance, is_faint = plan.clearance.min(axis=1), ~known_safe(frame)
         name = "cost" if ensemble(plan) is None else "S2"
         bars = [
@@ -96,7 +97,8 @@ class RolloutLayer(Layer):
                 height=float(height[i]),
                 tooltip=f"{i} {kind}: {name} {cost_text(plan.cost[i])} = "
                 + " + ".join(f"{term} {cost_text(values[i])}" for term, values in terms.items())
-                + f"; clearance of the plan {clearance[i]:.2f} m{_origin(frame, i)}",
+                + ("" if np.isnan(clearance[i]) else f"; clearance of the plan {clearance[i]:.2f} m")
+                + _origin(frame, i),
                 color=palette.SELECTED if i == self.selected else palette.CHOSEN if i == best else colors[i],
                 is_marked=i == best,
                 is_faint=bool(is_faint[i]),
