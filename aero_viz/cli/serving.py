@@ -46,7 +46,7 @@ class PageFlags:
     paused: bool = False
     """Start paused, until somebody presses play."""
     folder: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="DIR")] = ()
-    """Folder whose files the page may open, besides that of the first file and the recordings that ship; may be repeated."""
+    """Folder whose files the page may open, besides that of the first file and our own; may be repeated."""
     allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
     """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
     foxglove: FoxgloveFlag = None

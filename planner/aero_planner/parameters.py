@@ -200,6 +200,12 @@ class ParameterSection:
         for info in self.parameters():
             object.__setattr__(self, info.name, info.check(getattr(self, info.name)))
 
+    def sweep_memory(self, speed_limit: float) -> float | None:
+        """Return for how long a stage with these parameters wants sweeps to be remembered at a speed limit [m/s], in
+        seconds; None if it does not care.
+        """
+        return None
+
     @classmethod
     @functools.cache
     def parameters(cls) -> tuple[ParameterInfo, ...]:

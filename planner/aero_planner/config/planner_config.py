@@ -101,9 +101,9 @@ class PlannerConfig(DroneConfig):
 
     @property
     def sweep_memory(self) -> float:
-        if "memory" not in self.stages.names:
-            return SHORTEST_MEMORY
-        return self.memory.duration(self.vehicle.speed_limit)
+        sections = [getattr(self, name) for name in self.stages.names]
+        asked = [section.sweep_memory(self.vehicle.speed_limit) for section in sections]
+        return max((time for time in asked if time is not None), default=SHORTEST_MEMORY)
 
     @classmethod
     def preset_changes(cls) -> dict[str, tuple[str, dict[str, Value]]]:

@@ -117,6 +117,6 @@ def test_a_world_in_which_no_flight_can_arrive_is_refused_before_the_run(
 ):
     content = json.loads((folder / "forest-20.json").read_text(encoding="utf-8"))
     (folder / "forest-20.json").write_text(json.dumps({**content, "goal": [40.0, 0.0, -0.1]}), encoding="utf-8")
-    with pytest.raises(UserError, match=r"Cannot fly 'forest-20.json': The goal \(40, 0, -0.1\) lies inside"):
+    with pytest.raises(UserError, match=r"Cannot fly 'forest-20.json': The goal \(40, 0, -0.1\) lies 0.10 m below"):
         fly("impossible", folder_benchmark(folder, speed=5.0), flights=1)
     assert not (tmp_path / "impossible").exists()

@@ -219,7 +219,7 @@ def test_paper_preset_is_the_paper():
 @pytest.mark.parametrize(("limit", "memory"), [(7.0, 3.0), (3.0, 3.0), (2.0, 4.5), (1.0, 9.0), (0.5, 12.0)])
 def test_a_slow_drone_remembers_for_longer(limit: float, memory: float):
     config = PlannerConfig().replace({"vehicle.speed_limit": limit})
-    assert config.sweep_memory == config.memory.duration(limit) == memory
+    assert config.sweep_memory == config.memory.sweep_memory(limit) == memory
     assert config.replace({"memory.memory_distance": 0.0}).sweep_memory == 3.0
     assert config.replace({"stages.active": "way_out"}).sweep_memory == 1.0  # ten sweeps, as in the paper
 

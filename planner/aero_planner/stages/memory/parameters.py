@@ -25,6 +25,5 @@ class Parameters(ParameterSection, section="memory"):
         label="Memory of a slow drone",
     )  # fmt: skip
 
-    def duration(self, speed_limit: float) -> float:
-        """Return the time for which sweeps are remembered at a speed limit [m/s], in seconds."""
+    def sweep_memory(self, speed_limit: float) -> float:
         return max(self.memory_time, min(self.memory_distance / speed_limit, LONGEST_MEMORY))
