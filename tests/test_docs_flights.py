@@ -17,6 +17,7 @@ from aero_viz.flight import FlightResult
 from aero_viz.flight.rules import OUTCOMES
 from aero_viz.scenes import SCENES, World
 from aero_viz.sensors import LIDARS, coverage, lidar_model
+from aero_viz.session.engine import PLANNER_FAILED
 
 TEXT = TEXTS["docs/flights.md"]
 
@@ -24,7 +25,7 @@ TEXT = TEXTS["docs/flights.md"]
 def test_names_are_complete():
     scenes = set(re.findall(r"`([\w-]+)`", " ".join(row[0] for row in rows(TEXT, "Worlds"))))
     assert scenes == set(SCENES)
-    assert {row[0].strip("`") for row in rows(TEXT, "What ends a flight")[1:]} == set(OUTCOMES) - {None}
+    assert {row[0].strip("`") for row in rows(TEXT, "What ends a flight")[1:]} == {*OUTCOMES, PLANNER_FAILED} - {None}
     fields = set(re.findall(r"`(\w+)`", " ".join(row[0] for row in rows(TEXT, "Metrics"))))
     assert fields == {field.name for field in dataclasses.fields(FlightResult)}
     benchmarks = [row[0].strip("`") for row in rows(TEXTS["docs/benchmarks.md"], "Flights") if len(row) == 2]

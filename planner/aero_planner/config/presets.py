@@ -37,8 +37,8 @@ _PX4: dict[str, Value] = {
     "disturbance.disturbance_time": 0.0,
     "disturbance.drag_time": 0.0,
     "sampling.variance_rate_z": 0.02,
-    "costs.q_control_rate": 100.0,
-    "costs.q_control_jump": 60.0,
+    "costs.q_control_rate": 300.0,
+    "costs.q_control_jump": 200.0,
 }
 
 PRESETS: dict[str, tuple[str, dict[str, Value]]] = {

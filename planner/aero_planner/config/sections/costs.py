@@ -41,9 +41,8 @@ class CostConfig(ParameterSection, section="costs"):
     )  # fmt: skip
     q_control_jump: float = live(
         0.0, "s^2/rad^2", 0.0, 1e3, "Weight of the squared jump from the body rates that are commanded to the first "
-        "ones of a plan, also in the selection among candidates; 0 as in the paper: plans may then jump from one to "
-        "the next. Beyond 0, one sample per instance has no noise, and controls approach what a guide asks for with "
-        "the lags of the vehicle.",
+        "ones of a plan, also in the selection; 0 as in the paper. Beyond 0, one sample per instance has no noise, and "
+        "controls approach what a guide asks for with the lags of the vehicle.",
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
     q_speed: float = live(
