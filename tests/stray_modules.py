@@ -20,6 +20,11 @@ def write_stray_modules(folder: Path, names: tuple[str, ...] = INSTALLED + STAND
         (folder / f"{name}.py").write_text(f"open({str(marker)!r}, 'w').close()\nraise ImportError('a stray module')\n")
 
 
+def leave_what_python_imports(folder: Path) -> None:
+    """Delete the stray modules that `python -m` itself imports from the current folder, before any module of ours."""
+    (folder / "collections.py").unlink()
+
+
 def executed_modules(folder: Path) -> list[str]:
     """Return the names of the stray modules that were executed."""
     return sorted(file.stem for file in folder.glob("*.executed"))

@@ -3,14 +3,16 @@
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests import bags, captures
-from tests.stray_modules import executed_modules, write_stray_modules
+from tests.stray_modules import executed_modules, leave_what_python_imports, write_stray_modules
 
+PROGRAM = Path(sys.executable).with_name("aero-viz")
 SMALL = ["--sampling.samples", "16", "--lidar.points-per-sweep", "1000", "--rules.time-limit", "0.1"]
 TUNE = ["--over", "costs.q_track", "--flights", "2", "--rungs", "1", "--trials", "2", "--check", "1"]
 
@@ -26,11 +28,10 @@ def folder(tmp_path: Path, short_poles: str) -> Path:
     return tmp_path
 
 
-def run_there(folder: Path, *arguments: str) -> None:
-    """Run `python -m aero_viz` in the folder; it must succeed, and no stray module may be executed."""
+def run_there(folder: Path, *arguments: str, program: Sequence[str | Path] = (PROGRAM,)) -> None:
+    """Run `aero-viz` in the folder; it must succeed, and no stray module may be executed."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONSAFEPATH"}
-    command = [sys.executable, "-m", "aero_viz", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, env=environment)
+    done = subprocess.run([*program, *arguments], cwd=folder, capture_output=True, text=True, env=environment)
     assert executed_modules(folder) == []
     assert done.returncode == 0, done.stderr
 
@@ -57,12 +58,17 @@ def test_flights_and_logs_do_without_stray_modules(folder: Path):
     run_there(folder, "explain", "1.mcap")
 
 
+def test_python_m_does_without_stray_modules(folder: Path):
+    leave_what_python_imports(folder)
+    run_there(folder, "world", "info", "map.las", program=(sys.executable, "-m", "aero_viz"))
+
+
 def test_workers_of_ray_do_without_stray_modules(folder: Path):
     run_there(folder, "tune", "world.json", *SMALL, *TUNE, "--storage", "sqlite:///study.db", "--ray")
 
 
 def test_the_page_of_a_study_does_without_stray_modules(folder: Path):
-    command = [sys.executable, "-m", "aero_viz", "tune", "world.json", *SMALL, *TUNE, "--page", "--port", "0"]
+    command = [PROGRAM, "tune", "world.json", *SMALL, *TUNE, "--page", "--port", "0"]
     process = subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:

@@ -11,7 +11,7 @@ from aero_planner import PlannerConfig
 from aero_planner.import_path import child_environment, import_path, module_command
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.settings import OnboardConfig
-from tests.stray_modules import INSTALLED, executed_modules, write_stray_modules
+from tests.stray_modules import INSTALLED, executed_modules, leave_what_python_imports, write_stray_modules
 
 
 @pytest.fixture
@@ -34,6 +34,7 @@ def test_the_failsafe_process_starts_beside_stray_modules(stray: Path):
 
 @pytest.mark.parametrize("arguments", [["config"], ["preflight"], ["run", "--config", "absent.yaml"]])
 def test_the_program_runs_beside_stray_modules(stray: Path, arguments: list[str]):
+    leave_what_python_imports(stray)
     environment = child_environment()
     del environment["PYTHONSAFEPATH"]
     done = subprocess.run([sys.executable, "-m", "aero_planner", *arguments], capture_output=True, env=environment)
@@ -50,6 +51,7 @@ def test_an_empty_entry_of_pythonpath_is_ignored(tmp_path: Path, monkeypatch: py
 
 
 def test_a_module_that_is_run_by_itself_ignores_the_folder(stray: Path):
+    leave_what_python_imports(stray)
     environment = child_environment()
     del environment["PYTHONSAFEPATH"]
     command = [sys.executable, "-m", "aero_planner.benchmark", "--help"]
