@@ -113,8 +113,8 @@ def test_where_jumps_cost_the_first_sample_has_no_noise(device: str, q_jump: flo
     planner = Planner(config_of(costs__q_control_jump=q_jump), device=device)
     plan = random_case(0).plan(planner)
     nominal = planner.workspace.nominal_controls.numpy()[0, : len(plan.kinds)]
-    is_nominal = (np.abs(sampled_controls(planner, plan) - nominal[:, :, None]) < 1e-6).all(axis=(1, 3))
-    assert is_nominal[:, 0].all() == (q_jump > 0.0) and not is_nominal[:, 1:].any()
+    noise = np.abs(sampled_controls(planner, plan) - nominal[:, :, None]).max(axis=(1, 3))
+    assert (noise[:, 0].max() < 1e-6) == (q_jump > 0.0) and noise[:, 1:].min() > 1e-3
 
 
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
