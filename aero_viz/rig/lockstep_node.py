@@ -97,6 +97,7 @@ class LockstepNode:
         self.node: Node | None = None
         self.runs, self.lives = True, False
         self._planner, self._onboard, self._goal = planner, onboard, goal
+        self._config = planner.config
         self._clock, self._advance, self._plan_time = clock, advance, plan_time
         self._control_period, self._plan_period = 1.0 / onboard.rates.control, 1.0 / onboard.rates.replan
         self._next_control = self._next_plan = self._next_guard = 0.0
@@ -111,8 +112,9 @@ class LockstepNode:
         """Start the node; it may be started again after it was killed."""
         self._logger.addHandler(self._log)
         self._logger.setLevel(logging.INFO)
-        vehicle = self._planner.config.vehicle
+        vehicle = self._config.vehicle
         self._planner.reset()
+        self._planner.configure(self._config)  # a node that was killed may have limited its speed
         with contextlib.ExitStack() as stack:
             link = open_link(self._onboard, vehicle, clock=self._clock)
             stack.callback(link.close)
@@ -165,6 +167,7 @@ class LockstepNode:
     def close(self) -> None:
         """End the node and the failsafe process's code."""
         self.stop()
+        self._planner.configure(self._config)
         for guard in self._guards:
             guard.close()
         self._guards.clear()

@@ -58,7 +58,8 @@ def test_a_collision_names_the_obstacle():
     wall = world(boxes=[GROUND, [1.0, 0.0, 2.0, 0.2, 40.0, 12.0, 0.0]])
     config = PlannerConfig.preset("fast-cpu").replace({"costs.penalty": 0.0, "costs.soft_weight": 0.0})
     config = config.replace({"candidates.prefer_safe": False, "candidates.safe_clearance": 0.0})
-    result = fly(wall, config=config, lidar=LidarModel("blind", points_per_sweep=1, dropout=1.0))
+    # The LiDAR sees the ground, but not the wall.
+    result = fly(wall, config=config, lidar=LidarModel("down", elevation_min=-90.0, elevation_max=-80.0))
     assert result.reason == "collision" and result.explanation is not None
     assert "m from box 1, closer than" in result.explanation
 

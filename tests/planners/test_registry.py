@@ -1,5 +1,6 @@
 """Planners by name, by entry point and by module:Class, and the flags that derive from their parameters."""
 
+import inspect
 import json
 import subprocess
 import sys
@@ -85,7 +86,8 @@ def test_an_entry_point_brings_a_planner(empty_world: str, tmp_path: Path):
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: brought\nVersion: 1.0\n")
     (metadata / "entry_points.txt").write_text(f"[aero_viz.planners]\nbrought = {PLACE}\n")
     flight = [empty_world, "--planner", "brought", "--lidar.points-per-sweep", "500", "--json"]
-    code = f"import sys; sys.path.append({str(tmp_path)!r}); from aero_viz.cli import main; main(sys.argv[1:])"
+    added = [str(tmp_path), str(Path(inspect.getfile(Straight)).parent)]
+    code = f"import sys; sys.path += {added!r}; from aero_viz.cli import main; main(sys.argv[1:])"
     done = subprocess.run([sys.executable, "-c", code, "fly", *flight], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)

@@ -34,7 +34,8 @@ def px4(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Px4Process]:
 def test_parameters_are_set_and_the_origin_is_found_however_slow_the_heartbeats_are(px4: Px4Process):
     changes = set_parameters(px4, ONBOARD, VEHICLE, {"MIS_TAKEOFF_ALT": 2.0})
     assert {change.name: change.value for change in changes} == {
-        "COM_OF_LOSS_T": 0.2, "COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "NAV_RCL_ACT": 1, "MIS_TAKEOFF_ALT": 2.0,
+        "COM_OF_LOSS_T": 0.2, "COM_OBL_RC_ACT": 5, "COM_RC_OVERRIDE": 3, "COM_RCL_EXCEPT": 4, "NAV_RCL_ACT": 1,
+        "MIS_TAKEOFF_ALT": 2.0,
     }  # fmt: skip
     autopilot = Px4Autopilot(
         px4, (HOST, 9), origin=np.array([1.0, 2.0, 0.0]), heading=0.0, thrust=thrust_model(ONBOARD, VEHICLE)
