@@ -20,7 +20,8 @@ runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 def leave_current_folder() -> None:
     """Take the current folder off the path of this process and of every Python process that it starts.
 
-    It stays if this package lies there, or if PYTHONPATH names it by an absolute path.
+    It stays if this package lies there, if PYTHONPATH names it by an absolute path, or if a package is installed from
+    there.
     """
     sys.path[:] = import_path()
     os.environ["PYTHONSAFEPATH"] = "1"  # Python 3.11 and newer obey it
@@ -30,7 +31,10 @@ def leave_current_folder() -> None:
 
 
 def import_path() -> list[str]:
-    """Return the folders of sys.path from which modules may be imported; relative ones are none of them."""
+    """Return the folders of sys.path from which modules may be imported; relative ones are none of them.
+
+    Behind the standard library are folders of installed packages: there, the current one is that of an editable one.
+    """
     folders = [folder for folder in sys.path if os.path.isabs(folder)]
     try:
         current = os.path.realpath(os.getcwd())
@@ -41,7 +45,9 @@ def import_path() -> list[str]:
     packages = (os.path.dirname(os.path.dirname(file)) for file in files if file)
     if current in map(os.path.realpath, (*named, *packages)):
         return folders
-    return [folder for folder in folders if os.path.realpath(folder) != current]
+    library = os.path.dirname(os.__file__)
+    installed = folders.index(library) if library in folders else len(folders)
+    return [folder for i, folder in enumerate(folders) if i > installed or os.path.realpath(folder) != current]
 
 
 def module_command(module: str, *arguments: str) -> list[str]:

@@ -50,6 +50,11 @@ def test_an_empty_entry_of_pythonpath_is_ignored(tmp_path: Path, monkeypatch: py
     assert executed_modules(tmp_path) == [] and b"Traceback" not in done.stderr, done.stderr
 
 
+def test_a_package_that_is_installed_from_the_current_folder_stays(stray: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "path", ["", str(stray), *sys.path[1:], str(stray)])
+    assert import_path().count(str(stray)) == 1 and import_path()[-1] == str(stray)
+
+
 def test_a_module_that_is_run_by_itself_ignores_the_folder(stray: Path):
     leave_what_python_imports(stray)
     environment = child_environment()
