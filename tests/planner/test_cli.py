@@ -66,7 +66,6 @@ def test_import_is_light_and_leaves_cuda_alone():
         (["run", "--foo"], "unrecognized arguments: --foo; see aero-planner --help."),
         (["export"], "the following arguments are required: OUT[.tar]; see aero-planner export --help."),
         (["run", "--threads", "x"], "argument --threads: invalid int value: 'x'; see aero-planner run --help."),
-        (["rig"], "the following arguments are required: world; see aero-planner rig --help."),
     ],
 )
 def test_wrong_arguments_are_reported_in_one_sentence(call: Callable[..., Outcome], words: list[str], problem: str):

@@ -40,6 +40,7 @@ _RANGE_TIMEOUT = 1.0  # [s] after which a measured distance counts no more
 _RANGE_MAX_TILT = 0.5  # [rad] beyond which a distance to the ground is not used
 _INVALID_QUALITY = 1  # signal_quality of a distance that is not valid
 _LANDED_TIMEOUT = 3.0  # [s] after which a report that the vehicle is in the air, or is not, counts no more
+_DO_ORBIT = 34  # MAV_CMD_DO_ORBIT, whose name older versions of pymavlink lack
 _TRANSMITTER_TIMEOUT = 3.0  # [s] after which a report that the transmitter is heard counts no more
 _PX4_OFFBOARD = 6  # main mode, bits 16 to 23 of a heartbeat's custom_mode
 _MULTICOPTERS = (
@@ -311,9 +312,9 @@ def _mode_commands(dialect: Any) -> frozenset[int]:
     """Return the commands that change the mode of a PX4, or disarm it."""
     names = (
         "DO_SET_MODE", "COMPONENT_ARM_DISARM", "NAV_TAKEOFF", "NAV_LAND", "NAV_RETURN_TO_LAUNCH", "MISSION_START",
-        "DO_REPOSITION", "DO_ORBIT", "DO_FLIGHTTERMINATION",
+        "DO_REPOSITION", "DO_FLIGHTTERMINATION",
     )  # fmt: skip
-    return frozenset(getattr(dialect, f"MAV_CMD_{name}") for name in names)
+    return frozenset((_DO_ORBIT, *(getattr(dialect, f"MAV_CMD_{name}") for name in names)))
 
 
 def _enum_name(dialect: Any, enum: str, value: int) -> str:
