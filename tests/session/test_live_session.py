@@ -24,6 +24,7 @@ from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.parameters import ParameterTablePanel
 from aero_viz.dashboard.panels.playback import PlaybackPanel
+from aero_viz.dashboard.panels.returning import ReturningVisitors
 from aero_viz.dashboard.panels.shortcuts import ShortcutPanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.title import TitlePanel
@@ -199,6 +200,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
             LayerPanel,
             OpenTabs,
             ParameterTablePanel,
+            ReturningVisitors,
             ShortcutPanel,
             StatusPanel,
             TitlePanel,
