@@ -144,6 +144,7 @@ def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refus
     field = desk.control("Size [m]").locator("input").nth(1)
     field.select_text()
     field.press_sequentially("0.4", delay=150)
+    field.press("Enter")
     desk.wait_for(lambda: present(desk, "sphere").size == pytest.approx([0.4] * 3), "a smaller sphere")
     desk.wait_for(lambda: values(desk, "Size [m]") == pytest.approx([0.4] * 3), "the other sizes")
     desk.enter(field, "-3")
