@@ -49,9 +49,6 @@ _STYLE = "".join(
         f"{{background:{palette.css(palette.PANEL[6])}!important}}",
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
-        # Why a number field shows its number again.
-        ".aero-not-taken{position:fixed;z-index:400;padding:4px 10px;border-radius:6px;font-size:12px;"
-        f"color:white;background:{palette.css(palette.PANEL[4])}}}",
         # Everything below the playback controls scrolls separately, so that these stay in view.
         ".mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:calc(100vh - 19rem - var(--aero-visitors,0rem));overflow-y:auto!important;overflow-x:hidden}",
