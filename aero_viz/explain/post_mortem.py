@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig, PlanStatus
+from aero_planner import PlanStatus
 from aero_planner.plan import BrakingCandidates
 from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
@@ -314,19 +314,14 @@ def _braking_sentences(frames: list[Frame], braking: BrakingTick | None, estimat
 def _is_none_safe(frame: Frame, decision: Decision) -> bool:
     """Return True if a log says that no candidate was safe."""
     is_unsafe = decision.status == PlanStatus.NO_SAFE_CANDIDATE
-    return decision.is_recorded and is_unsafe and _considers_all(frame)
-
-
-def _considers_all(frame: Frame) -> bool:
-    """Return False if only the candidate with the lowest cost is considered."""
-    return not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
+    return decision.is_recorded and is_unsafe and frame.config.prefers_safe
 
 
 def _stop_reason(frame: Frame, status: PlanStatus) -> str:
     """Return why the planner stops the drone."""
     if status == PlanStatus.STALE_CLOUD:
         return "the cloud was stale"
-    return "no candidate was safe" if _considers_all(frame) else "the cheapest candidate was not safe"
+    return "no candidate was safe" if frame.config.prefers_safe else "the cheapest candidate was not safe"
 
 
 def _stops(frames: list[Frame]) -> dict[str, int]:

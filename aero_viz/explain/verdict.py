@@ -57,7 +57,7 @@ def verdict(evidence: Evidence, instance: int) -> str:
     if plan.status == PlanStatus.STALE_CLOUD:
         return "The cloud is too old: the drone brakes, whatever the candidates cost."
     if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
-        prefers_safe = evidence.frame.config.candidates.prefer_safe
+        prefers_safe = evidence.frame.config.prefers_safe
         cause = "No candidate is safe" if prefers_safe else "The cheapest candidate is not safe"
         flown = f"{cause}: the drone stops; the stop has replaced instance {best}."
         if plan.kinds[best] != "brake":
@@ -65,7 +65,7 @@ def verdict(evidence: Evidence, instance: int) -> str:
         return flown if instance == best else f"{flown} {_unsafe(evidence, instance)}"
     if instance == best:
         return _won(evidence)
-    if evidence.frame.config.candidates.prefer_safe and evidence.is_safe[best] and not evidence.is_safe[instance]:
+    if evidence.frame.config.prefers_safe and evidence.is_safe[best] and not evidence.is_safe[instance]:
         difference = float(plan.stage2_cost[instance] - plan.stage2_cost[best])
         cost = f"It costs {cost_text(abs(difference))} {'more' if difference > 0.0 else 'less'} than {best}."
         return f"{_unsafe(evidence, instance)} {cost}"
@@ -74,7 +74,7 @@ def verdict(evidence: Evidence, instance: int) -> str:
 
 def _won(evidence: Evidence) -> str:
     best, cost = int(evidence.plan.best), np.array(evidence.plan.stage2_cost, dtype=np.float64)
-    rivals = np.flatnonzero(evidence.is_safe | (not evidence.frame.config.candidates.prefer_safe))
+    rivals = np.flatnonzero(evidence.is_safe | (not evidence.frame.config.prefers_safe))
     rivals = rivals[rivals != best]
     if not len(rivals):
         return f"Instance {best} won: no other one is safe."

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig, PlanStatus
+from aero_planner import PlanStatus
 
 if TYPE_CHECKING:
     from aero_viz.session.frame import Frame
@@ -23,10 +23,9 @@ def known_safe(frame: Frame) -> NDArray[np.bool_]:
         return frame.is_safe
     plan = frame.plan
     is_safe = np.ones(len(plan.kinds), dtype=np.bool_)
-    prefers_safe = not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
-    if prefers_safe and plan.status == PlanStatus.OK:
+    if frame.config.prefers_safe and plan.status == PlanStatus.OK:
         is_safe &= plan.cost >= plan.cost[int(plan.best)]
-    elif prefers_safe and plan.status == PlanStatus.NO_SAFE_CANDIDATE:
+    elif frame.config.prefers_safe and plan.status == PlanStatus.NO_SAFE_CANDIDATE:
         is_safe[:] = False
     is_safe[int(plan.best)] = plan.status == PlanStatus.OK
     return is_safe

@@ -6,7 +6,7 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from aero_planner import PlannerConfig, PlanStatus
+from aero_planner import PlanStatus
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import (
@@ -108,9 +108,7 @@ class RolloutLayer(Layer):
         label = f"{cost_name(plan)} (log): shorter is better among safe candidates; faint: unsafe"
         summary = f"chosen: instance {best}, {plan.kinds[best]}{_origin(frame, best)}"
         if plan.status == PlanStatus.NO_SAFE_CANDIDATE:
-            # Without prefer_safe, only the candidate with the lowest S2 is considered.
-            is_any_considered = not isinstance(frame.config, PlannerConfig) or frame.config.candidates.prefer_safe
-            summary += "; no candidate is safe" if is_any_considered else "; the cheapest candidate is not safe"
+            summary += "; no candidate is safe" if frame.config.prefers_safe else "; the cheapest candidate is not safe"
         return BarChart(label, summary, bars)
 
 

@@ -32,6 +32,11 @@ class DroneConfig(SectionedConfig):
         return 0.05
 
     @property
+    def prefers_safe(self) -> bool:
+        """True if safe candidates come first; false if only the one with the lowest cost is considered."""
+        return True
+
+    @property
     def sweep_memory(self) -> float:
         """Time for which sweeps are remembered [s]."""
         return SHORTEST_MEMORY

@@ -100,6 +100,10 @@ class PlannerConfig(DroneConfig):
         return self.sampling.dt
 
     @property
+    def prefers_safe(self) -> bool:
+        return self.candidates.prefer_safe
+
+    @property
     def sweep_memory(self) -> float:
         sections = [getattr(self, name) for name in self.stages.names]
         asked = [section.sweep_memory(self.vehicle.speed_limit) for section in sections]
