@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 
 import viser
@@ -18,6 +19,8 @@ from aero_viz.session.source import SourceInfo
 _SPAN = 3.0
 """Source time over which the health is averaged [s]."""
 _MOST_FRAMES = 60
+_PERIOD = 0.4
+"""Time between two updates while time runs [s]: the figures of 60 frames take 10 ms."""
 _BUTTONS = 7
 """Number of figures, each of which may have something to try."""
 
@@ -29,6 +32,7 @@ class HealthPanel(Panel):
         self._controls = controls
         self._frames: deque[Frame] = deque(maxlen=_MOST_FRAMES)
         self._offered: list[Advice | None] = [None] * _BUTTONS
+        self._due = 0.0
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -55,6 +59,10 @@ class HealthPanel(Panel):
         frames.append(frame)
         while frames[0].time < frame.time - _SPAN:
             frames.popleft()
+        now = time.monotonic()
+        if self.session.playing and now < self._due:
+            return []
+        self._due = now + _PERIOD
         found = readings(list(frames))
         changes: list[Change] = [(self.line, "content", _text(found))]
         for number, button in enumerate(self.buttons):
