@@ -361,9 +361,9 @@ class Planner(Generic[_Plan]):
                 Points that are not finite are dropped and counted. `Planner.points` plans from the cloud on the device.
                 `Sweeps` are fastest for one drone: only those that have arrived since the last plan are copied.
             cloud_age: time since the cloud was measured [s]; beyond partition.cloud_age_max the drone brakes.
-            empty_is_clear: True if a cloud without finite points means that nothing is in range of the sensor.
-                Otherwise the drone brakes, too, if clouds or newest sweeps have been without for as long. It also
-                brakes if most points are farther than `sweeps.FARTHEST_RETURN`, as in millimetres.
+            empty_is_clear: True if a cloud without finite points beyond partition.range_min means that nothing is in
+                range of the sensor. Otherwise the drone brakes, too, if clouds or newest sweeps have been without for
+                as long. It also brakes if most points are farther than `sweeps.FARTHEST_RETURN`, as in millimetres.
             ground_height: height of flat ground [m], world frame, which counts as an obstacle unless costs.use_ground
                 is off: a number, or an array of shape [B] for a batch, -inf where it is unknown. None means unknown.
             samples: return the Stage I rollouts as well.
@@ -385,7 +385,11 @@ class Planner(Generic[_Plan]):
         stages = PLAN
         newest = [points.newest] if isinstance(points, Sweeps) else self._cloud.split(points)
         positions = np.reshape(checked["position"], (-1, 3))
-        host["is_blind"][:] = [not _shows(*seen, empty_is_clear) for seen in zip(newest, positions, strict=True)]
+        nearest = self._config.partition.range_min
+        host["is_blind"][:] = [
+            not _shows(cloud, position, nearest=nearest, empty=empty_is_clear)
+            for cloud, position in zip(newest, positions, strict=True)
+        ]
         if isinstance(points, Sweeps):
             self._inputs.upload()
             stages = self._write_sweeps(points)
@@ -509,11 +513,11 @@ class Planner(Generic[_Plan]):
         self._pipeline.close()
 
 
-def _shows(cloud: Any, position: NDArray[np.float64], empty: bool) -> bool:
+def _shows(cloud: Any, position: NDArray[np.float64], *, nearest: float, empty: bool) -> bool:
     """Return `shows_something` of a cloud that may be on the device."""
     if isinstance(cloud, wp.array):
         few = cloud[:_LOOKED_AT] if len(cloud) > _LOOKED_AT else cloud
-        if shows_something(few.numpy(), position, empty=False):
+        if shows_something(few.numpy(), position, nearest=nearest):
             return True
         cloud = cloud.numpy()
-    return shows_something(cloud, position, empty=empty)
+    return shows_something(cloud, position, nearest=nearest, empty=empty)

@@ -26,17 +26,19 @@ def sweeps_within(memory: float, period: float) -> int:
     return math.ceil(memory / period - 1e-3)
 
 
-def shows_something(points: NDArray[Any], position: ArrayLike, *, empty: bool = False) -> bool:
-    """Return True if points [n, 3] show the surroundings of a position [3]: at least half of the finite ones are near.
+def shows_something(points: NDArray[Any], position: ArrayLike, *, nearest: float = 0.0, empty: bool = False) -> bool:
+    """Return True if points [n, 3] show the surroundings of a position [3].
 
-    No surface that a LiDAR sees is beyond `FARTHEST_RETURN`; a cloud in millimetres is, nearly all of it. Without a
-    finite point, the answer is `empty`.
+    Points that are not finite or not beyond `nearest` [m] are no returns, or those of the drone itself. At least half
+    of the others must be near: no surface that a LiDAR sees is beyond `FARTHEST_RETURN`; a cloud in millimetres is,
+    nearly all of it. Without others, the answer is `empty`.
     """
     for some in (points[:: len(points) // _SAMPLE + 1], points):
         offsets = some - np.asarray(position, dtype=np.float64)
         squares = np.einsum("ij,ij->i", offsets, offsets)
-        if count := np.count_nonzero(squares < np.inf):
-            return bool(2 * np.count_nonzero(squares <= FARTHEST_RETURN**2) >= count)
+        squares = squares[(squares > nearest**2) & (squares < np.inf)]
+        if len(squares):
+            return bool(2 * np.count_nonzero(squares <= FARTHEST_RETURN**2) >= len(squares))
     return empty
 
 

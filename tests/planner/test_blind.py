@@ -55,6 +55,19 @@ def test_a_cloud_that_shows_nothing_becomes_stale(planner: Planner, name: str):
     assert statuses(planner, lambda _: on_device) == STALE
 
 
+@pytest.mark.parametrize("distance", [0.0, 0.08])
+def test_returns_of_the_drone_itself_show_nothing(planner: Planner, distance: float):
+    own = distance * np.eye(3, dtype=np.float32)[np.arange(3000) % 3]
+
+    def seen(tick: int) -> np.ndarray:
+        return own + np.float32([0.1 * tick, 0, 1])
+
+    assert statuses(planner, seen) == STALE
+    assert statuses(planner, lambda tick: Sweeps([ROOM + 4.0, seen(tick)])) == STALE
+    assert statuses(planner, seen, empty_is_clear=True) == ["OK"] * TICKS
+    assert "STALE_CLOUD" not in statuses(planner, lambda tick: np.concatenate((seen(tick), ROOM[:100] + 4.0)))
+
+
 @pytest.mark.parametrize("name", ["nothing", "rays without return", "infinite"])
 def test_a_caller_may_say_that_nothing_is_in_range(planner: Planner, name: str):
     assert statuses(planner, lambda _: BLIND[name], empty_is_clear=True) == ["OK"] * TICKS

@@ -41,6 +41,7 @@ from aero_planner.onboard.thrust_estimate import ThrustEstimate
 from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
+from aero_planner.sweeps import shows_something
 
 _log = logging.getLogger(__name__)
 
@@ -96,7 +97,7 @@ class Node:
         self._clock = clock
         self._observers = tuple(observers)
         self._failsafe = failsafe
-        self._vehicle = planner.config.vehicle
+        self._vehicle, self._range_min = planner.config.vehicle, planner.config.partition.range_min
         self._is_signed = config.mavlink.is_signed
         self._period = 1.0 / config.rates.control
         # Silence after which the failsafe process, too, has sent its last command.
@@ -292,7 +293,8 @@ class Node:
     def _read_points(self) -> None:
         for packet in self._lidar.poll():
             if len(packet.times):
-                self._points_time = max(self._points_time, float(packet.times.max()))
+                if shows_something(packet.points, np.zeros(3), nearest=self._range_min):
+                    self._points_time = max(self._points_time, float(packet.times.max()))
                 self._replanner.add_arrival(packet)
                 self._notify(packet)
 

@@ -116,6 +116,7 @@ class SimulatedLidar:
         self._simulation, self.world = simulation, world
         self.counters = PointCounters()
         self.alive = True
+        self.spoil: Callable[[NDArray[np.float32]], NDArray[np.float32]] = lambda points: points
         self.closed = False
 
     def poll(self) -> list[PointPacket]:
@@ -126,7 +127,7 @@ class SimulatedLidar:
         near = self.world[self.counters.packets % 20 :: 20] - motion.position
         near = near[np.linalg.norm(near, axis=1) < 10.0]
         inverse = conjugate(motion.quaternion)
-        points = rotate(inverse, near).astype(np.float32)
+        points = self.spoil(rotate(inverse, near).astype(np.float32))
         return [PointPacket(points, np.full(len(points), motion.time))]
 
     def close(self) -> None:

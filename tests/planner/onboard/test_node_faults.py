@@ -30,6 +30,21 @@ def test_a_dead_lidar_brakes_in_time_and_hands_back(flight: Simulation):
     assert len(flight.link.sent) == count and not flight.link.offboard and clearance(flight) > 0.0
 
 
+@pytest.mark.parametrize(
+    "spoil",
+    [lambda points: points[:0], lambda points: 0.0 * points, lambda points: 1000.0 * points],
+    ids=["no returns", "at the sensor", "in millimetres"],
+)
+def test_a_lidar_that_is_heard_and_sees_nothing_is_a_dead_one(flight: Simulation, spoil):
+    limits, began = flight.node.config.limits, flight.now
+    flight.lidar.spoil = spoil
+    flight.run(limits.cloud_age + 2 * PERIOD)
+    assert since(flight, began, "BRAKING") <= limits.cloud_age + 2 * PERIOD
+    assert flight.run_until(lambda: flight.node.state is State.HOLDING, 3.0)
+    flight.lidar.spoil = lambda points: points
+    assert flight.run_until(lambda: flight.node.state is State.ARRIVED, 15.0) and clearance(flight) > 0.1
+
+
 def test_with_a_stale_cloud_it_brakes_as_planned(flight: Simulation):
     flight.lidar.alive = False
     assert flight.run_until(lambda: flight.node.safety.reaction is Reaction.BRAKE_AS_PLANNED, 1.0)
