@@ -27,7 +27,7 @@ from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_timed_points
 from aero_viz.scenes.text_cloud import TEXT_SUFFIXES, find_text_layout
 
-CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".npy", ".bin")
+CLOUD_SUFFIXES = (".pcd", ".ply", ".las", ".laz", ".e57", ".npy", ".bin")
 """Names of files that hold one cloud each. A .bin has rows of numbers: see `bin_files`. Texts may hold clouds, too."""
 _FRAME = "lidar"
 _FAR = 5_000.0

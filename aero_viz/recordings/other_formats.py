@@ -31,6 +31,7 @@ _MAGICS = {
     b"FIELDS": ".pcd",
     b"ply": ".ply",
     b"LASF": ".las",
+    b"ASTM-E57": ".e57",
     b"\x93NUMPY": ".npy",
 }
 _LIVOX = "/livox/lidar"

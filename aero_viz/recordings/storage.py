@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SUPPORTED = (
     "MCAP files, rosbag2 folders (metadata.yaml with .mcap or .db3), .db3 files, ROS 1 .bag files (2.0), files and "
-    "folders of PCD, PLY, LAS, LAZ, NPY, KITTI .bin and text clouds, Livox .lvx2, Ouster .osf, and .pcap of a "
+    "folders of PCD, PLY, LAS, LAZ, E57, NPY, KITTI .bin and text clouds, Livox .lvx2, Ouster .osf, and .pcap of a "
     "Livox Mid-360, a Velodyne or an Ouster"
 )
 
@@ -40,7 +40,6 @@ _READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
 _UNREAD = {
     b"PK\3\4": (0, "unpack this archive, and open the file or folder in it"),
     b"ustar": (257, "unpack this archive with `tar -xf`, and open the file or folder in it"),
-    b"ASTM-E57": (0, "convert this E57 file with `pdal translate`, or CloudCompare, to LAZ or PLY"),
 }
 """Starts of files that cannot be read, with their offsets and advice."""
 _START = 512

@@ -1,4 +1,4 @@
-"""Points from files, decoded by laspy (LAS, LAZ) and NumPy; triangles by `mesh_decoder`.
+"""Points from files, decoded by laspy (LAS, LAZ), pye57 (E57) and NumPy; triangles by `mesh_decoder`.
 
 Run it in a separate process, see `decoding_process`. The libraries are imported on first use. They trust the counts in
 a header, so counts are compared with the size of the file before anything is allocated, and with what was read.
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from aero_planner.user_file import open_user_file
 from aero_viz.point_times import time_field
 from aero_viz.scenes.decoder_checks import check_count, read_ply_header
+from aero_viz.scenes.e57 import read_e57
 from aero_viz.scenes.las import read_las
 from aero_viz.scenes.mesh_decoder import read_triangles
 from aero_viz.scenes.pcd import read_pcd
@@ -115,6 +116,7 @@ _READERS: dict[str, Callable[[Path], tuple[NDArray[Any], Times | None]]] = {
     ".ply": read_ply,
     ".las": read_las,
     ".laz": read_las,
+    ".e57": read_e57,
     ".npy": _read_npy,
     **dict.fromkeys(TEXT_SUFFIXES, read_text),
 }

@@ -25,7 +25,7 @@ from aero_viz.scenes.text_cloud import TEXT_SUFFIXES
 Points = NDArray[np.float64]
 _logger = logging.getLogger(__name__)
 
-_POINTS = (".pcd", ".ply", ".las", ".laz", ".npy", *TEXT_SUFFIXES)
+_POINTS = (".pcd", ".ply", ".las", ".laz", ".e57", ".npy", *TEXT_SUFFIXES)
 MESH_SUFFIXES = (".obj", ".stl", ".glb", ".off")
 MAP_SUFFIXES = (*_POINTS, *MESH_SUFFIXES)
 """File name suffixes that `read_points` and `read_mesh` read."""
