@@ -22,7 +22,7 @@ from typing import Any, Protocol, TypeVar
 from aero_planner.import_path import child_environment, module_command
 from aero_planner.plain_text import in_own_words
 from aero_planner.user_file import restrict_user_files, user_folders
-from aero_viz.answers import decode, encode
+from aero_viz.answers import encode, read_answer, write_answer
 from aero_viz.errors import UserError
 from aero_viz.input_limits import DECODER_MEMORY_BASE, DECODER_MEMORY_RATIO, TIME_BASE, TIME_PER_BYTE
 from aero_viz.sandbox import confine
@@ -80,7 +80,7 @@ class Limits:
 class ReaderProcess:
     """A `Reader` whose calls run in a separate process, with a lower priority than this one.
 
-    The function and its arguments are pickled; the result consists of values, see `aero_viz.answers`.
+    The function and its arguments are pickled; the result is data, see `aero_viz.answers`.
 
     Args:
         limits: what a call may use; on Windows, only the time is limited.
@@ -200,11 +200,13 @@ class ReaderProcess:
             process.stdin.write(request)
             process.stdin.flush()
             self._first_bytes = int.from_bytes(process.stdout.read(_COUNT_BYTES), "little")
-            kind, content = decode(process.stdout, limits.memory)
-            return str(kind), content
+            kind, content = read_answer(process.stdout, limits.memory)
+            if kind in ("result", "error", "memory"):
+                return kind, content
+            raise ValueError(f"an answer of the kind {kind!r}")
         except (BrokenPipeError, EOFError):
             pass
-        except (pickle.UnpicklingError, TypeError, ValueError):  # the file has taken over the process
+        except (TypeError, ValueError):  # the file has taken over the process
             self._end(UserError("The process that read it gave no proper answer; the file is probably hostile."))
         process.wait()
         return None
@@ -297,8 +299,7 @@ def _serve() -> None:
             confined_to.add(folders)
         answers.write(_bytes_read(os.getpid()).to_bytes(_COUNT_BYTES, "little"))
         answers.flush()
-        answers.write(_answer((request[0], request[1], request[2])))
-        answers.flush()
+        write_answer(answers, _answer((request[0], request[1], request[2])))
         if os.name == "posix":
             signal.alarm(0)
 
