@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import stat
+import threading
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -88,7 +89,8 @@ def whole_file(path: Path, *, alone: bool = False) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
-    partial = path.with_name(f".{path.stem}.{'' if alone else f'{os.getpid()}.'}partial{path.suffix}")
+    writer = "" if alone else f"{os.getpid()}.{threading.get_native_id()}."
+    partial = path.with_name(f".{path.stem}.{writer}partial{path.suffix}")
     lock = path.with_name(f".{path.name}.lock")  # not the partial file: who writes that may open it alone
     with open_alone(lock) if alone else contextlib.nullcontext():
         try:

@@ -1,6 +1,7 @@
 """Files that cannot be written are refused before the work, and others are replaced as a whole."""
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -93,3 +94,18 @@ def test_a_link_stays_and_a_device_is_written_itself(tmp_path: Path):
     (tmp_path / "null").symlink_to(os.devnull)
     with whole_file(tmp_path / "null", alone=True) as device:
         assert str(device) == os.devnull
+
+
+def test_threads_of_one_program_do_not_disturb_each_other(tmp_path: Path):
+    path = tmp_path / "out.txt"
+    with whole_file(path) as partial:
+        partial.write_text("first")
+        with ThreadPoolExecutor(1) as pool:
+
+            def write() -> None:
+                with whole_file(path) as other:
+                    other.write_text("second")
+
+            pool.submit(write).result()
+        assert path.read_text() == "second"
+    assert path.read_text() == "first" and os.listdir(tmp_path) == ["out.txt"]

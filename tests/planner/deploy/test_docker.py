@@ -73,9 +73,10 @@ def test_the_container_outlives_a_node_that_died(container, tmp_path: Path, node
     assert (tmp_path / "slept").exists() is waits
 
 
-def test_the_node_receives_the_signals_of_the_container(container, tmp_path: Path):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_the_signals_of_the_container_stop_the_node(container, tmp_path: Path, number: signal.Signals):
     process = container("trap 'echo stopped; exit 0' TERM; echo started $1; while true; do read -t 0.1 <> <(:); done")
     assert process.stdout.readline() == "started run\n"
-    process.send_signal(signal.SIGTERM)
+    process.send_signal(number)
     assert process.wait(60) == 0
     assert process.stdout.read() == "stopped\n" and not (tmp_path / "slept").exists()

@@ -242,7 +242,7 @@ def test_parameters_are_not_written_to_a_vehicle_that_is_armed_before_the_answer
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()
     try:
-        report = preflight(FAST, config, listen=0.3, confirm=lambda changes: is_armed.set() or bool(changes))
+        report = preflight(FAST, config, listen=2.0, confirm=lambda changes: is_armed.set() or bool(changes))
     finally:
         is_over.set()
         thread.join()
