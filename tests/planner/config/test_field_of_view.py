@@ -1,6 +1,6 @@
 import pytest
 
-from aero_planner.config.field_of_view import mounted_view
+from aero_planner.config.field_of_view import View, mounted_view
 
 
 @pytest.mark.parametrize(
@@ -17,4 +17,4 @@ from aero_planner.config.field_of_view import mounted_view
     ],
 )
 def test_the_view_turns_with_the_sensor(roll: float, pitch: float, view: tuple[float, float]):
-    assert mounted_view((-7.0, 52.0), roll=roll, pitch=pitch) == view
+    assert mounted_view(View(-7.0, 52.0), roll=roll, pitch=pitch) == View(*view)
