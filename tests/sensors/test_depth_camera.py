@@ -1,6 +1,7 @@
 """Narrow fields of view, images of depth cameras, and several sensors on one drone."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def directions(model, *, parts=1, sweep=0):
     lidar = Lidar(model, DeviceWorlds([INSIDE]), seeds=[5])
     poses = wp.zeros(1, dtype=wp.vec3), wp.array([(1.0, 0.0, 0.0, 0.0)], dtype=wp.vec4)
     ends = [part * model.rays_per_sweep // parts for part in range(parts + 1)]
-    for first, end in zip(ends, ends[1:], strict=False):
+    for first, end in pairwise(ends):
         lidar.scan(sweep, first, end, poses=poses, poses_before=poses, active=wp.ones(1, dtype=int))
     points = lidar.points.numpy()[0].astype(np.float64)
     return points / np.linalg.norm(points, axis=1, keepdims=True)
