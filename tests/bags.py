@@ -377,3 +377,40 @@ FORMATS: dict[str, Callable[[Path, list[Item]], Path]] = {
     "rosbag1-lz4": lambda folder, items: write_ros1(folder / "a.bag", items, "lz4"),
     "rosbag1-bz2": lambda folder, items: write_ros1(folder / "a.bag", items, "bz2"),
 }
+
+
+def depth_image(
+    seconds: float, depth: np.ndarray, *, topic="/camera/depth/image_raw", encoding="16UC1", padding=0
+) -> Item:
+    """Return a sensor_msgs/Image of depths [height, width] [m], with some bytes between its rows."""
+    stamp = START + round(seconds * 1e9)
+    pixels = np.round(depth * 1e3).astype("<u2") if encoding == "16UC1" else depth.astype("<f4")
+    height, width = depth.shape
+    raw = np.pad(np.frombuffer(pixels.tobytes(), np.uint8).reshape(height, -1), ((0, 0), (0, padding)))
+
+    def build(store, ros1):
+        return make(store, "sensor_msgs/msg/Image", header=header(store, ros1, stamp, "camera_optical_frame"),
+                    height=height, width=width, encoding=encoding, is_bigendian=0, step=raw.shape[1],
+                    data=raw.reshape(-1))  # fmt: skip
+
+    return Item(topic, "sensor_msgs/msg/Image", stamp, build)
+
+
+def camera_info(seconds: float, intrinsics, shape, *, topic="/camera/depth/camera_info") -> Item:
+    """Return a sensor_msgs/CameraInfo with fx, fy, cx, cy for an image of a shape (height, width)."""
+    stamp = START + round(seconds * 1e9)
+    fx, fy, cx, cy = intrinsics
+
+    def build(store, ros1):
+        region = make(store, "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0,
+                      do_rectify=False)  # fmt: skip
+        matrices = {
+            "d": np.zeros(5), "k": np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1.0]), "r": np.eye(3).ravel(),
+            "p": np.array([fx, 0, cx, 0, 0, fy, cy, 0, 0, 0, 1.0, 0]),
+        }  # fmt: skip
+        named = {(name.upper() if ros1 else name): values for name, values in matrices.items()}
+        return make(store, "sensor_msgs/msg/CameraInfo", header=header(store, ros1, stamp, "camera_optical_frame"),
+                    height=shape[0], width=shape[1], distortion_model="plumb_bob", binning_x=0, binning_y=0,
+                    roi=region, **named)  # fmt: skip
+
+    return Item(topic, "sensor_msgs/msg/CameraInfo", stamp, build)

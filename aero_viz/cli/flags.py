@@ -33,8 +33,8 @@ Inline = Annotated[T, tyro.conf.arg(name="")]
 WorldName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="WORLD")]]
 FileName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
 OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT")]]
-LidarName = Literal["mid360", "full-sphere", "spinning64"]
-"""A name in `LIDARS`."""
+LidarName = Annotated[str, tyro.conf.arg(metavar="{" + ",".join(LIDARS) + "}[@YAW][+..]")]
+"""Name of a sensor model, or of several on one drone, see `lidar_model`."""
 Point = tuple[float, float, float]
 AERO_MPPI = PlannerConfig.planner
 """Name of the planner without --planner."""

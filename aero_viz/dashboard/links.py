@@ -11,13 +11,14 @@ from urllib.parse import parse_qsl, urlencode
 
 from aero_planner import PlannerConfig
 from aero_planner.config import DroneConfig, ParameterInfo, did_you_mean
+from aero_viz.errors import UserError
 from aero_viz.flight.conditions import OFFERED
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
 from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.planners.registry import name_of
-from aero_viz.sensors.models import LIDARS
+from aero_viz.sensors.models import LIDARS, lidar_model
 from aero_viz.session.source import Conditions, SourceInfo
 
 MOST_ENTRIES = 500
@@ -118,14 +119,17 @@ def _flight_flags(source: SourceInfo, config: DroneConfig) -> list[str]:
     if "lidar" not in source.settings:  # a source of another program
         return []
     settings = FlightSettings.from_dict(source.settings)
-    name = settings.lidar.name if settings.lidar.name in LIDARS else _LIDAR
+    try:
+        named = lidar_model(settings.lidar.name)
+    except UserError:  # a model of another program
+        named = LIDARS[_LIDAR]
     pairs: list[tuple[Any, Any]] = [
-        (LIDARS[name], settings.lidar),
+        (named, settings.lidar),
         (VehicleModel.from_config(config), settings.drone),
         (StateNoise(), settings.noise or StateNoise()),
         (FlightRules(), settings.rules),
     ]
-    flags = [] if name == _LIDAR else ["--lidar", name]
+    flags = [] if named.name == _LIDAR else ["--lidar", named.name]
     for default, actual in pairs:
         for info in actual.parameters():
             value = getattr(actual, info.name)

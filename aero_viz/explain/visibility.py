@@ -88,15 +88,18 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     distance = np.linalg.norm(offset, axis=1)
     body = rotate(conjugate(quaternion_from_angles(*model.mount_angles)), rotate(conjugate(q), offset))
     elevation = np.degrees(np.arcsin(np.clip(body[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)))
+    azimuth = np.degrees(np.arctan2(body[:, 1], body[:, 0]))
+    in_view = model.sees(rotate(conjugate(q), offset))
     configs = [frame.config for frame in frames if isinstance(frame.config, PlannerConfig)]
-    reach = min(model.range_max, max((config.farthest_range for config in configs), default=np.inf))
+    range_max = max(sensor.range_max for sensor in model.sensors)
+    reach = min(range_max, max((config.farthest_range for config in configs), default=np.inf))
     worlds = [frame.world for frame in frames]
     occluders = _occluders(worlds, eyes, offset, distance)
     reasons, names = [], Counter[str]()
     for i in range(len(frames)):
         if distance[i] > reach:
             reasons.append("beyond range")
-        elif not model.elevation_min <= elevation[i] <= model.elevation_max:
+        elif not in_view[i]:
             reasons.append("outside the field of view")
         elif occluders[i]:
             reasons.append("occluded")
@@ -108,8 +111,9 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
     detail = {
         "beyond range": f"{distance[counted].min():.1f} m away or more, beyond the range of {reach:g} m",
         "outside the field of view": (
-            f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg in the frame of "
-            f"the sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg"
+            f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg and azimuths of "
+            f"{azimuth[counted].min():.0f} to {azimuth[counted].max():.0f} deg in the frame of the sensor, which sees "
+            f"{model.elevation_min:g} to {model.elevation_max:g} and {model.azimuth_min:g} to {model.azimuth_max:g} deg"
         ),
         "occluded": f"occluded by {names.most_common(1)[0][0] if names else 'something'}",
         "no ray hit it": "in view, but no ray hit it",

@@ -142,7 +142,7 @@ class FlightBatch:
         remembered = [remembered_sweeps(c.sweep_memory, lidar) for c in configs]
         self._rows = max(remembered)
         """Number of sweeps in the planner's memory."""
-        points = self._rows * self.simulator.lidar.model.points_per_sweep
+        points = self._rows * self.simulator.lidar.model.rays_per_sweep
         self.planner.reserve_sweeps(self._rows, points, whole=WHOLE_SWEEPS, remembered=remembered)
         heights = [-np.inf if world.ground_height is None else world.ground_height for world in worlds]
         self.planner.inputs.ground_height.assign(np.array(heights, dtype=np.float32))
@@ -162,7 +162,7 @@ class FlightBatch:
                 self._observe()
                 self._plan()
         sweep, _, end = self.simulator.advance(self.planner.command, phase=part * self._phase_step)
-        if end == self.simulator.lidar.model.points_per_sweep:
+        if end == self.simulator.lidar.model.rays_per_sweep:
             with self.simulator.timed("sweeps"):
                 self._store(sweep)
 

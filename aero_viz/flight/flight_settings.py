@@ -37,11 +37,17 @@ class FlightSettings:
         models = {"lidar": LidarModel, "drone": VehicleModel, "noise": StateNoise, "rules": FlightRules}
         for name, model in models.items():
             if values.get(name) is not None:
-                # JSON has lists in place of tuples.
-                found = dict(values[name]).items()
-                fields[name] = model(**{key: tuple(v) if isinstance(v, list) else v for key, v in found})
+                fields[name] = _model(model, values[name])
         return cls(**fields)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as values that JSON can hold."""
         return dataclasses.asdict(self)
+
+
+def _model(kind: type[Any], values: Mapping[str, Any]) -> Any:
+    """Return a model of its values; JSON has lists in place of tuples, and mappings in place of further sensors."""
+    fields = {key: tuple(value) if isinstance(value, list) else value for key, value in dict(values).items()}
+    if "others" in fields:
+        fields["others"] = tuple(_model(kind, other) for other in fields["others"])
+    return kind(**fields)

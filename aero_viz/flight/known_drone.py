@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-from aero_planner.config import DroneConfig, PlannerConfig
-from aero_planner.config.field_of_view import mounted_view
+from aero_planner.config import DroneConfig, PlannerConfig, Value
+from aero_planner.config.field_of_view import FULL_WIDTH
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
@@ -14,14 +14,18 @@ from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
 Config = TypeVar("Config", bound=DroneConfig)
-_FACTS = ("view_min", "view_max", "delay", "height_max")
+_VIEW = ("view_min", "view_max", "view_width", "view_middle")
+_SECOND_VIEW = ("second_min", "second_max", "second_width", "second_middle")
+_FACTS = (*_VIEW, *_SECOND_VIEW, "range_max", "facing", "delay", "height_max")
 """Names of the parameters that are facts of a flight, in whatever section of a configuration."""
 
 
 def config_for_drone(config: Config, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None = None) -> Config:
     """Return `config` with the facts of a flight in place of default values.
 
-    The facts are the field of view of `lidar`, see `mounted_view`, the delay of `vehicle`, and the top of `world`. The
+    The facts are the field of view of `lidar`, see `LidarModel.view`, its range, if that is less than the configuration
+    counts on, the delay of `vehicle`, and the top of `world`. Of several sensors, a planner knows the view of the first
+    one and the largest view of the others. If none of them sees all around, the drone faces where it flies. The
     delay is the latency, plus the time constant of the body rates unless `config` models their lag. The planner must
     know the top because a flight that leaves the bounds has failed, and a LiDAR does not see them. Like the height of
     the ground, the top is used only with costs.use_ground.
@@ -67,33 +71,37 @@ def facts_after(changes: Mapping[str, Any], *, config: DroneConfig, flight: Sour
     return facts | {path: chosen.get(path, after[path]) for path in _paths(config).values() if path in changes}
 
 
-def _with_facts(config: Config, facts: Mapping[str, float]) -> Config:
+def _with_facts(config: Config, facts: Mapping[str, Value]) -> Config:
     """Return `config` with facts in place of default values; a value that was chosen stays."""
     default = type(config)()
     return config.replace({path: value for path, value in facts.items() if config.get(path) == default.get(path)})
 
 
-def _known(config: DroneConfig, flight: SourceInfo) -> dict[str, float]:
+def _known(config: DroneConfig, flight: SourceInfo) -> dict[str, Value]:
     """Return all facts of a flight, with default values for what is unknown. They need not fit to what was chosen."""
     default = type(config)()
-    known = {path: float(default.get(path)) for path in _paths(config).values()}
+    known = {path: default.get(path) for path in _paths(config).values()}
     if not flight.closed_loop or "lidar" not in flight.settings:
         return known
     settings = FlightSettings.from_dict(flight.settings)
     return known | _facts(config, lidar=settings.lidar, vehicle=settings.drone, world=flight.world)
 
 
-def _facts(config: DroneConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, float]:
-    roll, pitch, _ = lidar.mount_angles
-    view = mounted_view((lidar.elevation_min, lidar.elevation_max), roll=roll, pitch=pitch)
-    facts = {
-        "view_min": view[0],
-        "view_max": view[1],
+def _facts(config: DroneConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, Value]:
+    paths, (view, *others) = _paths(config), (sensor.view for sensor in lidar.sensors)
+    facts: dict[str, Value] = {
+        **dict(zip(_VIEW, view, strict=True)),
         "delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
     }
     if world is not None and (not isinstance(config, PlannerConfig) or config.costs.use_ground):
         facts["height_max"] = float(world.bounds[1, 2])
-    paths = _paths(config)
+    if others:
+        facts |= zip(_SECOND_VIEW, max(others, key=lambda v: (v.highest - v.lowest) * v.width), strict=True)
+    if max(view.width, *(other.width for other in others), 0.0) < FULL_WIDTH:
+        facts["facing"] = "flight"
+    if "range_max" in paths:
+        reach = max(1.0, *(sensor.range_max for sensor in lidar.sensors))
+        facts["range_max"] = min(float(type(config)().get(paths["range_max"])), reach)
     return {paths[name]: value for name, value in facts.items() if name in paths}
 
 

@@ -20,7 +20,7 @@ class FlightRules(ParameterSection, section="rules"):
 
     period: float = live(
         0.02, "s", 1e-3, 1.0,
-        "Duration of a tick, for which one command is held; a sweep of the LiDAR takes a whole number of ticks.",
+        "Duration of a tick, for which one command is held; a sweep of the LiDAR takes at least one tick.",
     )  # fmt: skip
     ticks_per_plan: int = structural(
         1, 1, 1000,

@@ -27,6 +27,7 @@ from aero_viz.sensors.lidar import Lidar
 from aero_viz.sensors.models import LidarModel
 
 _WORLDS_MAX = 8  # worlds of the last settings that stay on the device
+_WHOLE = 1e-6  # ticks by which a time may miss a tick by rounding
 _GPU_THREADS_PER_QUERY = 32  # threads that share the search for the nearest primitive
 
 
@@ -55,7 +56,7 @@ class Simulator:
         latency_max: largest latency of the drones that a later setting can have [s].
 
     Raises:
-        ValueError: the sweep period is not a whole number of ticks.
+        ValueError: a sweep takes less than a tick.
 
     Attributes:
         vehicle: true states, see `Vehicle`.
@@ -65,6 +66,7 @@ class Simulator:
         active: mask, int [B], on the device: 1 while a flight is flying, else 0.
         record: metrics, `FlightRecord` [B], on the device.
         tick: number of ticks flown.
+        ticks_per_sweep: mean number of ticks that a sweep takes, see `part_of_sweep`.
         rules, noise, seeds: the arguments.
         observers: called in this order after every tick.
         timer: measures the stages "vehicle" (motion, estimate and judgement) and "lidar"; None measures nothing.
@@ -84,11 +86,10 @@ class Simulator:
     ) -> None:
         if len(worlds) == 0 or len(worlds) != len(seeds):
             raise ValueError(f"{len(worlds)} worlds and {len(seeds)} seeds; there must be one of each per flight.")
-        ratio = 1.0 / (lidar.sweep_rate * rules.period)
-        self.ticks_per_sweep = round(ratio)
-        if self.ticks_per_sweep < 1 or abs(ratio - self.ticks_per_sweep) > 1e-6:
+        self.ticks_per_sweep = 1.0 / (lidar.sweep_rate * rules.period)
+        if self.ticks_per_sweep < 1.0 - _WHOLE:
             raise ValueError(
-                f"a sweep takes {1.0 / lidar.sweep_rate:g} s, not a multiple of the tick of {rules.period:g} s; "
+                f"a sweep takes {1.0 / lidar.sweep_rate:g} s, less than the tick of {rules.period:g} s; "
                 f"set rules.period to a fraction of it, such as {0.2 / lidar.sweep_rate:g}."
             )
         self.rules, self.noise, self.seeds = rules, noise, tuple(seeds)
@@ -150,7 +151,7 @@ class Simulator:
 
     def measure_sweep(self, sweep: int) -> None:
         """Measure a whole sweep before the start, with a negative number, as if the drones hovered at their starts."""
-        self._scan(sweep, 0, self.lidar.model.points_per_sweep)
+        self._scan(sweep, 0, self.lidar.model.rays_per_sweep)
 
     def advance(self, commands: wp.array, *, phase: float = 0.0) -> tuple[int, int, int]:
         """Fly one tick and scan.
@@ -164,17 +165,26 @@ class Simulator:
         """
         with self.timed("vehicle"):
             self.vehicle.fly(commands, active=self.active, phase=phase, tick=self.tick)
-            sweep, part = divmod(self.tick, self.ticks_per_sweep)
+            sweep, part, parts = self.part_of_sweep(self.tick)
             self.tick += 1
             self.estimate.update(self.tick, active=self.active)
             self._judge()
-        size = self.lidar.model.points_per_sweep
-        first, end = part * size // self.ticks_per_sweep, (part + 1) * size // self.ticks_per_sweep
+        size = self.lidar.model.rays_per_sweep
+        first, end = part * size // parts, (part + 1) * size // parts
         with self.timed("lidar"):
             self._scan(sweep, first, end)
         for observer in self.observers:
             observer()
         return sweep, first, end
+
+    def part_of_sweep(self, tick: int) -> tuple[int, int, int]:
+        """Return the sweep that a tick measures, which part of it, and in how many parts it is measured.
+
+        A sweep begins with the first tick that is not before its time.
+        """
+        sweep = math.floor(tick / self.ticks_per_sweep + _WHOLE)
+        start, following = (math.ceil(k * self.ticks_per_sweep - _WHOLE) for k in (sweep, sweep + 1))
+        return sweep, tick - start, following - start
 
     def timed(self, stage: str) -> AbstractContextManager[None]:
         """Return a context whose time counts for a stage, if there is a timer."""

@@ -65,7 +65,7 @@ class FlightSource:
         device: Warp device.
 
     Raises:
-        UserError: the sweep of the LiDAR is not a whole number of ticks.
+        UserError: a sweep of the LiDAR takes less than a tick.
 
     Attributes:
         simulator: simulator of the flight.
@@ -120,7 +120,7 @@ class FlightSource:
         self._scans: tuple[Scan, ...] = ()
         self._parts: list[Cloud] = []
         self._read_state()
-        size = self.simulator.lidar.model.points_per_sweep
+        size = self.simulator.lidar.model.rays_per_sweep
         # Before the start, the drone has hovered.
         scans = [Scan(sweep, 0, size, self._pose, self._pose, self._setting) for sweep in range(-SWEEPS, 0)]
         self._set_sweeps(tuple(Sweep((scan,), None) for scan in scans))
@@ -165,7 +165,7 @@ class FlightSource:
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
                 self._scans = (*self._scans, Scan(sweep, first, end, before, self._pose, self._setting))
                 self._parts.append(self._new_points(first, end))
-            if end == self.simulator.lidar.model.points_per_sweep and self._scans:
+            if end == self.simulator.lidar.model.rays_per_sweep and self._scans:
                 complete = Sweep(self._scans, join_returns(self._parts))
                 self._scans, self._parts = (), []
                 self._cache.add(complete)

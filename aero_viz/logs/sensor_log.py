@@ -202,13 +202,13 @@ class _SensorLog:
     def _add_scan(self, before: Any) -> None:
         """Collect the points of a tick in the body frame at their own times, and write a complete sweep."""
         simulator, options = self._simulator, self._options
-        size, ticks = simulator.lidar.model.points_per_sweep, simulator.ticks_per_sweep
-        part = (simulator.tick - 1) % ticks
-        first, end = part * size // ticks, (part + 1) * size // ticks
+        size = simulator.lidar.model.points_per_sweep
+        _, part, parts = simulator.part_of_sweep(simulator.tick - 1)
+        first, end = part * size // parts, (part + 1) * size // parts
         rays = np.arange(first, end)
         rays = rays[rays % options.every == 0]
         world: Any = simulator.lidar.points.numpy()[0, rays]
-        times = (rays + 0.5) / size / simulator.lidar.model.sweep_rate
+        times = (rays + 0.5) / size / (simulator.lidar.model.sweep_rate * simulator.ticks_per_sweep / parts)
         start = part * simulator.rules.period
         after = self._state
         track = PoseTrack.from_arrays(
@@ -222,10 +222,10 @@ class _SensorLog:
             points = np.round(points / options.resolution).astype(np.float32) * np.float32(options.resolution)
         hit = np.isfinite(points).all(axis=1)
         self._parts.append((points[hit], times[hit]))
-        if part == ticks - 1:
+        if part == parts - 1:
             points, times = (np.concatenate(arrays) for arrays in zip(*self._parts, strict=True))
             self._parts = []
-            stamp = self._stamp - round(1e9 * simulator.rules.period * ticks)
+            stamp = self._stamp - round(1e9 * simulator.rules.period * parts)
             step = options.time_resolution
             times = np.round(np.floor(times / step + 1e-6) * step * 1e9).astype(np.uint32)
             self._add(sweep(points, stamp, times=times), self._stamp)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TOPICS_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.depth_image import CAMERA_INFO, IMAGE, Intrinsics, NoDepthImage, read_camera_info
 from aero_viz.recordings.foxglove_cloud import FOXGLOVE_CLOUD
 from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
 from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
@@ -47,6 +48,8 @@ class CloudEntry:
     """Argument of `BagFile.read`."""
     sensor: str = ""
     """Name of the sensor, where the message has one besides its frame."""
+    camera: Intrinsics | None = None
+    """Intrinsics of the camera of a depth image."""
 
     @property
     def time(self) -> int:
@@ -111,6 +114,7 @@ def read_contents(storage: Storage) -> Contents:
     scanner = _Scanner(storage)
     for file in storage.files:
         scanner.scan(file)
+    scanner.join_cameras()
     contents = scanner.contents
     contents.topics = sorted(scanner.topics.values(), key=lambda topic: topic.name)
     for topic in contents.topics:
@@ -132,7 +136,9 @@ class _Scanner:
         self.contents = Contents(storage.path, [], TransformTree(), None, None, list(storage.problems))
         self.topics: dict[tuple[str, str], TopicContents] = {}
         """By name and type."""
-        self._types = {*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES}
+        self._types = {*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES, CAMERA_INFO}
+        self._cameras: dict[str, Intrinsics] = {}
+        """By the namespace of the topic."""
         self._surplus = 0
         self._padded = np.zeros(HEAD_BYTES, np.uint8)
 
@@ -171,6 +177,15 @@ class _Scanner:
         if file.damaged:
             contents.problems.append(f"{file.damaged} damaged records or chunks of {name} are left out")
 
+    def join_cameras(self) -> None:
+        """Give depth images the intrinsics that a topic in their namespace has; those without are no clouds."""
+        for topic in self.topics.values():
+            if topic.type == IMAGE and topic.clouds:
+                camera = self._cameras.get(_namespace(topic.name))
+                topic.clouds = [] if camera is None else [replace(entry, camera=camera) for entry in topic.clouds]
+                if camera is None:
+                    topic.add_damaged(f"no CameraInfo on {_namespace(topic.name)}/camera_info says how a pixel looks")
+
     def _add(self, message: Message, file: BagFile, topic: TopicContents) -> None:
         """Add a cloud or the poses of a message."""
         channel = message.channel
@@ -178,6 +193,10 @@ class _Scanner:
             topic.add_damaged(f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1")
             return
         try:
+            if channel.type == CAMERA_INFO:
+                if (name := _namespace(channel.topic)) not in self._cameras:
+                    self._cameras[name] = read_camera_info(file.read(message.position), channel.encoding)
+                return
             if channel.type in CLOUD_TYPES:
                 is_text = channel.encoding == "json"
                 layout = file.read(message.position) if is_text else self._without_points(message)
@@ -192,6 +211,9 @@ class _Scanner:
                 return
             data = message.head if len(message.head) == message.size else file.read(message.position)
             poses = decode_poses(data, channel.type, channel.encoding)
+        except NoDepthImage as error:
+            topic.reason = str(error)
+            return
         except DamagedMessage as error:
             topic.add_damaged(str(error))
             return
@@ -223,3 +245,8 @@ class _Scanner:
             self._padded = np.zeros(2 * message.size, np.uint8)  # pages that are never written take no memory
         self._padded[: len(message.head)] = np.frombuffer(message.head, np.uint8)
         return self._padded[: message.size].data
+
+
+def _namespace(topic: str) -> str:
+    """Return the name of a topic up to its last part."""
+    return topic.rpartition("/")[0]

@@ -21,6 +21,7 @@ from aero_viz.recordings.cloud_files import CloudSequence
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.convert_poses import STATIC_DEFINITION, NewPoses, Window, is_static
+from aero_viz.recordings.depth_image import IMAGE
 from aero_viz.recordings.opening import configure_recording
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, checked_row_step, encode_point_cloud2
@@ -36,7 +37,7 @@ from aero_viz.recordings.ros_messages import (
 from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.text_table import format_size
 
-_COPIED = (POINT_CLOUD2, LASER_SCAN)
+_COPIED = (POINT_CLOUD2, LASER_SCAN, IMAGE)
 """Types of clouds that are written as they are."""
 
 
@@ -205,7 +206,7 @@ class _Output:
         """Write a message with a time of recording [ns], and return whether it was written."""
         channel = message.channel
         kind = TF_TYPES[0] if channel.type in TF_TYPES else channel.type
-        kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind != LASER_SCAN else kind
+        kind = POINT_CLOUD2 if kind in CLOUD_TYPES and kind not in _COPIED else kind
         definition = _definition(kind) or bag.definitions.get(channel.type)
         if channel.encoding not in ENCODINGS and channel.type not in CLOUD_TYPES:
             self.left_out[channel.topic] = f"its encoding is {channel.encoding or 'not given'}, not CDR or ROS 1"

@@ -215,7 +215,7 @@ class Recording:
                 yield self._read_cloud(self._entries[index])
 
     def _read_cloud(self, entry: CloudEntry) -> RawCloud:
-        return read_cloud(entry.file.read(entry.position), self._type, self._encoding)
+        return read_cloud(entry.file.read(entry.position), self._type, self._encoding, entry.camera)
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import CLOUD_TYPES
 from aero_viz.recordings.contents import CloudEntry, Contents, TopicContents
+from aero_viz.recordings.depth_image import IMAGE
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
@@ -107,8 +108,8 @@ def require_topics(contents: Contents, *, points_topic: str | None, pose_topic: 
 def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicContents, str]:
     """Return the topic with the sweeps, the named one or the one with the most points, and a notice on the others.
 
-    Clouds that are already in the frame of the world come last, before them planar scans, and before these single
-    clouds, which may be maps, and packets, which may be those of another topic.
+    Clouds that are already in the frame of the world come last, before them planar scans and depth images, and before
+    these single clouds, which may be maps, and packets, which may be those of another topic.
 
     Raises:
         UserError: there is no such topic or none of its clouds can be read.
@@ -119,13 +120,14 @@ def choose_cloud_topic(contents: Contents, name: str | None) -> tuple[TopicConte
         placed = any(cloud.frame in worlds for cloud in topic.clouds[:1])
         return (
             placed,
-            topic.type == LASER_SCAN,
+            topic.type in (LASER_SCAN, IMAGE),
             len(topic.clouds) < 2 or topic.type == VELODYNE_SCAN,
             -_points(topic),
             topic.name,
         )
 
-    topics = sorted(contents.topics_with(CLOUD_TYPES), key=order)
+    found = contents.topics_with(CLOUD_TYPES)
+    topics = sorted((topic for topic in found if topic.type != IMAGE or topic.clouds or topic.damaged), key=order)
     others = [topic for topic in topics[1:] if topic.clouds]
     notice = ""
     if name is not None:

@@ -1,4 +1,4 @@
-"""Fraction of its field of view that a LiDAR has covered over time."""
+"""Fraction of its field of view that a sensor has covered over time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def coverage(
     """Return the fraction of the cells in the field of view that rays have hit after each time, [T].
 
     The cells are those of the planner's fine partition, in the sensor frame. Only cells that lie completely between the
-    lower and the upper edge of the field of view count.
+    edges of the field of view count.
 
     Args:
         model: model of the LiDAR.
@@ -57,6 +57,8 @@ def coverage(
         raise ValueError(f"cell is {cell!r} and times {times!r}; cell must divide 180 deg and times ascend from 0.")
     edges = -90.0 + cell * np.arange(rows + 1)
     covered = (edges[:-1] >= model.elevation_min - 1e-9) & (edges[1:] <= model.elevation_max + 1e-9)
+    sides = -180.0 + cell * np.arange(2 * rows + 1)
+    covered = covered[:, None] & (sides[:-1] >= model.azimuth_min - 1e-9) & (sides[1:] <= model.azimuth_max + 1e-9)
     if not covered.any():
         raise ValueError(f"the cell of {cell:g} deg does not fit the field of view of {model.name!r}; make it smaller.")
     init_warp()

@@ -1,4 +1,4 @@
-"""Warp kernels of the simulated LiDAR: beam directions over time, and scans with noise and dropout."""
+"""Warp kernels of the simulated sensor: beam directions over time, and scans with noise and dropout."""
 
 # Postponed annotations are left out: kernels made for a case refer to local names.
 
@@ -29,15 +29,28 @@ class Beams:
     height_min: float
     """Sine of elevation_min; equal steps of the sine are equal steps of solid angle."""
     height_max: float
+    azimuth_start: float
+    """Azimuth of the first ray of a turn: 0 if the turn is complete, else the right edge of the field of view [rad]."""
+    azimuth_width: float
+    """Angle of a turn [rad]."""
+    masked_below: float
+    """Rays of a complete turn at a smaller azimuth than this [rad], or a larger one than the next, return nothing."""
+    masked_above: float
     points_per_sweep: int
+    rays: float
+    """Mean number of rays in a sweep of the first sensor of the drone."""
     sweep_rate: float
-    """[Hz]"""
+    """That of the first sensor [Hz]."""
+    salt: int
+    """Separates the random numbers of this sensor from those of others on the drone; 0 for the first one."""
     range_min: float
     range_max: float
     range_noise: float
     dropout: float
     rings: int
     """Number of rings; 0 for another pattern."""
+    image_rows: int
+    """Number of rows of an image; 0 for another pattern."""
     tilt: float
     """Tilt of the outer beams of a Livox [rad]; 0 for another pattern."""
     turn_step: wp.uint32
@@ -76,8 +89,17 @@ def beam_direction(beams: Beams, index: int, phase: wp.uint32):
     """Return the unit direction of a ray in the sensor frame; `index` counts rays over all sweeps."""
     azimuth = float(0.0)
     height = float(0.0)
+    i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
+    if beams.image_rows > 0:
+        columns = beams.points_per_sweep // beams.image_rows
+        left = wp.tan(beams.azimuth_start + beams.azimuth_width)
+        right = wp.tan(beams.azimuth_start)
+        top = wp.tan(beams.elevation_max)
+        bottom = wp.tan(beams.elevation_min)
+        across = (float(i % columns) + 0.5) / float(columns)
+        down = (float(i // columns) + 0.5) / float(beams.image_rows)
+        return wp.normalize(wp.vec3(1.0, left + across * (right - left), top + down * (bottom - top)))
     if beams.rings > 0:
-        i = (index % beams.points_per_sweep + beams.points_per_sweep) % beams.points_per_sweep
         ring = i % beams.rings
         azimuth = float(i - ring) / float(beams.points_per_sweep)
         share = float(ring) / float(wp.max(beams.rings - 1, 1))
@@ -96,8 +118,17 @@ def beam_direction(beams: Beams, index: int, phase: wp.uint32):
         azimuth = fraction(k, STEP_AZIMUTH)
         height = beams.height_min + fraction(k, STEP_ELEVATION) * (beams.height_max - beams.height_min)
     flat = wp.sqrt(wp.max(1.0 - height * height, 0.0))
-    angle = 2.0 * wp.pi * azimuth
+    angle = beams.azimuth_start + beams.azimuth_width * azimuth
     return wp.vec3(flat * wp.cos(angle), flat * wp.sin(angle), height)
+
+
+@wp.func
+def is_masked(beams: Beams, ray: wp.vec3) -> bool:
+    """Return True if a ray, in the sensor frame, is beside the field of view."""
+    if beams.masked_below <= -wp.pi and beams.masked_above >= wp.pi:
+        return False
+    azimuth = wp.atan2(ray[1], ray[0])
+    return azimuth < beams.masked_below or azimuth > beams.masked_above
 
 
 @wp.func
@@ -126,38 +157,48 @@ def scan(with_triangles: bool) -> wp.Kernel:
         beams: Beams,
         seeds: wp.array(dtype=int),  # [B]
         sweep: int,
+        start: int,
         first: int,
         count: int,
+        offset: int,
         # in
         active: wp.array(dtype=int),  # [B]
         lost: wp.array(dtype=int),  # [B]
         poses: Poses,
         estimated: Poses,
         # out
-        points: wp.array2d(dtype=wp.vec3),  # [B, points_per_sweep]
+        points: wp.array2d(dtype=wp.vec3),  # [B, rays_per_sweep]
     ):
-        """Measure `count` points of a sweep from the true poses, and place them by the estimated poses."""
+        """Measure rays of a sweep from the true poses, and place their points by the estimated poses.
+
+        `start` rays of the sensor were fired before the sweep. `count` of the sweep, from `first` on, give the points
+        from `offset` on.
+        """
         b, i = wp.tid()
         if active[b] == 0:
             return
-        index = sweep * beams.points_per_sweep + first + i
+        index = start + first + i
+        seed = seeds[b] ^ beams.salt
         share = (float(i) + 0.5) / float(count)
-        beam = wp.quat_rotate(beams.mount_attitude, beam_direction(beams, index, wp.rand_init(seeds[b])))
+        ray = beam_direction(beams, index, wp.rand_init(seed))
+        beam = wp.quat_rotate(beams.mount_attitude, ray)
         attitude = attitude_at(poses, b, share)
         origin = position_at(poses, b, share) + wp.quat_rotate(attitude, beams.mount_position)
         direction = wp.quat_rotate(attitude, beam)
-        time = (float(sweep) + (float(first + i) + 0.5) / float(beams.points_per_sweep)) / beams.sweep_rate
+        time = (float(sweep) + (float(first + i) + 0.5) / beams.rays) / beams.sweep_rate
         triangle = float(wp.inf)
         if wp.static(with_triangles):
             triangle = mesh_range(geometry.meshes[world[b]], origin, direction, beams.range_max)
         distance = ray_range(geometry, world[b], origin, direction, triangle, beams.range_max, time)
         point = wp.vec3(wp.nan, wp.nan, wp.nan)
+        if is_masked(beams, ray):
+            distance = wp.inf
         if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
-            random = wp.rand_init(seeds[b], index)
+            random = wp.rand_init(seed, index)
             if wp.randf(random) >= beams.dropout:
                 in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
                 place = wp.quat_rotate(attitude_at(estimated, b, share), in_body)
                 point = position_at(estimated, b, share) + place
-        points[b, first + i] = point
+        points[b, offset + i] = point
 
     return scan

@@ -1,12 +1,12 @@
 """Flags that derive from parameters, and the configuration that they describe."""
 
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from command_line import run, terminal_text
 
 from aero_planner import PlannerConfig
-from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
+from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, WorldFlags
 from aero_viz.cli.page import flight_opener
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
@@ -32,8 +32,9 @@ def test_only_the_paper_preset_ignores_the_ground(config_flags: ConfigFlags, use
     assert config_flags.load().costs.use_ground == use_ground
 
 
-def test_every_lidar_can_be_chosen():
-    assert get_args(LidarName) == tuple(LIDARS)
+@pytest.mark.parametrize("name", [*LIDARS, "d435+d435@180"])
+def test_every_lidar_can_be_chosen(name: str):
+    assert FlightFlags().options(PlannerConfig(), lidar=name)["lidar"].name == name
 
 
 def test_the_help_of_a_pose_names_its_angles(capsys: pytest.CaptureFixture[str]):
@@ -45,7 +46,10 @@ def test_the_help_of_a_lidar_flag_names_the_default_of_each_model(capsys: pytest
     code, text, _ = run(capsys, "fly", "--help")
     assert code == 0
     text = terminal_text(text)
-    assert "Scan pattern. (default: livox for mid360, even for full-sphere, rings for spinning64)" in text
+    assert (
+        "Scan pattern. (default: livox for mid360, even for full-sphere, rings for spinning64, pinhole for d435)"
+        in text
+    )
     assert "Fraction of the returns that are lost. In [0, 1]. (default: 0.02)" in text
 
 

@@ -11,7 +11,7 @@ from aero_viz.sensors import lidar_model
 def test_settings_return_from_a_log(noise: StateNoise | None):
     settings = FlightSettings(
         seed=3,
-        lidar=lidar_model("spinning64"),
+        lidar=lidar_model("spinning64+d435@180"),
         drone=VehicleModel(drag=0.3),
         noise=noise,
         rules=FlightRules(ticks_per_plan=5),

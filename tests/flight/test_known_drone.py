@@ -14,7 +14,7 @@ from aero_viz.flight.known_drone import (
     facts_after,
 )
 from aero_viz.scenes import scene
-from aero_viz.sensors.models import LIDARS
+from aero_viz.sensors.models import LIDARS, lidar_model
 
 MID360 = LIDARS["mid360"]
 
@@ -36,6 +36,18 @@ def test_the_field_of_view_turns_with_the_sensor():
     upside_down = dataclasses.replace(MID360, mount_angles=(180.0, 0.0, 0.0))
     part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).unseen_space
     assert (part.view_min, part.view_max) == (-MID360.elevation_max, -MID360.elevation_min)
+
+
+def test_the_views_and_the_range_of_cameras_are_known_and_the_drone_faces_where_it_flies():
+    def config_with(lidar: str) -> PlannerConfig:
+        return config_for_drone(PlannerConfig(), lidar=lidar_model(lidar), vehicle=VehicleModel())
+
+    first = {"unseen_space.view_min": -29.0, "unseen_space.view_max": 29.0, "unseen_space.view_width": 87.0}
+    second = {"unseen_space.second_min": -29.0, "unseen_space.second_max": 29.0, "unseen_space.second_width": 87.0}
+    alone = {"partition.range_max": 6.0, "anchors.facing": "flight"}
+    assert config_with("d435@20") == PlannerConfig().replace(first | alone | {"unseen_space.view_middle": 20.0})
+    assert config_with("d435+d435@180") == PlannerConfig().replace(first | second | alone)
+    assert config_with("mid360+d435") == PlannerConfig().replace(second | {"unseen_space.second_middle": 0.0})
 
 
 def test_the_top_of_the_world_is_the_greatest_height():

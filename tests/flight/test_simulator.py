@@ -1,6 +1,8 @@
 """Outcomes and metrics of scripted flights with known answers."""
 
+import dataclasses
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -20,10 +22,10 @@ def world(goal=(20.0, 0.0, 2.0), **tables) -> World:
     return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), **tables)
 
 
-def simulate(worlds, **rules) -> Simulator:
+def simulate(worlds, *, lidar=LIDAR, **rules) -> Simulator:
     worlds = [worlds] if isinstance(worlds, World) else worlds
     model = VehicleModel(thrust_min=0.0)
-    return Simulator(worlds, lidar=LIDAR, vehicle=model, rules=FlightRules(**rules), seeds=range(len(worlds)))
+    return Simulator(worlds, lidar=lidar, vehicle=model, rules=FlightRules(**rules), seeds=range(len(worlds)))
 
 
 def fly(simulator: Simulator, command, ticks: int) -> None:
@@ -149,9 +151,20 @@ def test_sweeps_are_complete_every_fifth_tick():
     assert parts == [(k // 5, k % 5 * 20, k % 5 * 20 + 20) for k in range(10)]
 
 
-def test_tick_must_divide_the_sweep():
-    with pytest.raises(ValueError, match="not a multiple of the tick"):
-        simulate(world(), period=0.03)
+def test_a_sweep_ends_with_the_tick_in_which_its_time_is_over():
+    """A camera at 30 Hz, whose images take one or two ticks of 20 ms; none of their rays is lost."""
+    simulator = simulate(world(), lidar=dataclasses.replace(LIDAR, sweep_rate=30.0))
+    commands = wp.array([[HOVER]], dtype=wp.vec4)
+    parts = [simulator.advance(commands) for _ in range(15)]
+    assert [k + 1 for k, (_, _, end) in enumerate(parts) if end == 100] == [2, 4, 5, 7, 9, 10, 12, 14, 15]
+    assert [sweep for sweep, _, end in parts if end == 100] == list(range(9))
+    for (_, _, end), (_, first, _) in pairwise(parts):
+        assert first == end % 100
+
+
+def test_a_sweep_takes_at_least_a_tick():
+    with pytest.raises(ValueError, match=r"a sweep takes 0.1 s, less than the tick of 0.2 s"):
+        simulate(world(), period=0.2)
 
 
 def test_moving_the_goal_resumes_an_arrived_flight():

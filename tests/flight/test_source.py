@@ -242,9 +242,9 @@ def test_a_flight_cannot_seek(source):
         source.seek(1.0)
 
 
-def test_tick_that_does_not_divide_the_sweep_is_a_users_error():
-    with pytest.raises(UserError, match="not a multiple of the tick"):
-        FlightSource(scene("forest", seed=0, count=1), rules=FlightRules(period=0.03))
+def test_a_tick_that_is_longer_than_a_sweep_is_a_users_error():
+    with pytest.raises(UserError, match="less than the tick"):
+        FlightSource(scene("forest", seed=0, count=1), rules=FlightRules(period=0.2))
 
 
 def test_a_flight_among_moving_obstacles_repeats_and_ends_where_they_are():

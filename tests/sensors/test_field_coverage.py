@@ -8,7 +8,7 @@ from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors import LIDARS, Lidar, LidarModel, coverage
 
-MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
+MID360, FULL_SPHERE, SPINNING64 = (LIDARS[name] for name in ("mid360", "full-sphere", "spinning64"))
 
 
 def test_coverage_of_the_mid360_grows_from_sweep_to_sweep():

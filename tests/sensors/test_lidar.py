@@ -10,7 +10,7 @@ from aero_viz.scenes import World
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors import LIDARS, Lidar, LidarModel, lidar_model
 
-MID360, FULL_SPHERE, SPINNING64 = LIDARS.values()
+MID360, FULL_SPHERE, SPINNING64 = (LIDARS[name] for name in ("mid360", "full-sphere", "spinning64"))
 RADIUS = 10.0
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 

@@ -19,6 +19,10 @@ wp.set_module_options({"enable_backward": False})
 
 BRAKING_FAN = wp.constant(5)
 """Braking candidates, the first rows after the M instances: straight ahead, then alternately left and right."""
+FACING_FLIGHT = wp.constant(1)
+"""Index of the choice "flight" of `anchors.facing`."""
+FACING_TIME = wp.constant(0.4)
+"""Time constant with which the drone turns to where it flies [s]."""
 FAN_ANGLE = wp.constant(30.0 * 3.14159265 / 180.0)
 """Angle between them [rad]."""
 
@@ -34,6 +38,13 @@ def braking_angle(candidate: int) -> float:
 def braking_end(p: wp.vec3, v: wp.vec3, angle: float, T: float, params: Params) -> wp.vec3:
     """Return where a braking guide ends that turns by an angle [rad]: brake_reach |v| T ahead [m], world frame."""
     return p + (params.brake_reach * T) * quat_rotate(quat_from_heading(angle), v)
+
+
+@wp.func
+def flight_heading(along: wp.vec3, otherwise: float) -> float:
+    """Return the heading of a direction of flight [rad], or another one where that is short or steep."""
+    level = wp.sqrt(along[0] * along[0] + along[1] * along[1])
+    return wp.where(level > wp.max(0.5, wp.abs(along[2])), wp.atan2(along[1], along[0]), otherwise)
 
 
 @wp.func
@@ -105,6 +116,9 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
                 p1 = p0 + (start.lookahead[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
         else:
             heading_goal = heading(q0)
+        facing = c.facing == FACING_FLIGHT
+        if facing:
+            heading_goal = flight_heading(wp.where(m < anchor_count, p1 - p0, v0), heading(start.goal_quaternion[b]))
         if lane == 0:
             guides.anchors[b, m] = p1
             if m >= anchor_count:
@@ -124,6 +138,8 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             acting = start.control[b]
             before = start.command[b]
             for t in range(nominal_controls.shape[2]):
+                if facing:
+                    yaw_rate = wrap_angle(heading_goal - heading(q)) / FACING_TIME
                 u = follow(p, v, q, acting, curve, float(t) * c.dt, yaw_rate, k, c)
                 # Where jumps have a price, controls approach what the guide asks for. Braking begins at once.
                 if m < anchor_count and c.q_control_jump > 0.0:

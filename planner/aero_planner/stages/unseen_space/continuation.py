@@ -1,5 +1,8 @@
 """Surfaces continued past the edges of the field of view: space that was not seen is not free.
 
+The field of view is that of one sensor or of two, each between two elevations and as wide around a middle azimuth in
+the body frame. Beside it, space is unknown from `unknown_range` on, as if a surface were there.
+
 What is seen at the lower edge of the field of view continues straight down, and what is seen at its upper edge straight
 up. The search runs along vertical half-planes through the drone, sampled like the fine cells: rows of equal elevation
 and columns of equal azimuth, but in the world frame.
@@ -14,7 +17,7 @@ import warp as wp
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.records import Cells, PreviousPlan, Problem
-from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_rotate
+from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_rotate, wrap_angle
 from aero_planner.kernels.partition import cells_of_thread, farthest
 from aero_planner.kernels.prediction import time_since_plan
 
@@ -41,6 +44,55 @@ def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp
     nearest = wp.where(wp.dot(before, q) < 0.0, -before, before)
     share = since / wp.max(since + lag, 1.0e-6)
     return wp.normalize(nearest + share * (q - nearest))
+
+
+@wp.func
+def is_within(azimuth: float, middle: float, width: float) -> bool:
+    """Return True if an azimuth [rad] is within a view of some width around a middle [deg]."""
+    off = wp.abs(wrap_angle(azimuth - wp.radians(middle)))
+    return width >= 360.0 or (width > 0.0 and off <= 0.5 * wp.radians(width))
+
+
+@wp.func
+def is_narrow(c: Params) -> bool:
+    """Return True if the sensors may not see in all azimuths alike."""
+    return c.view_width < 360.0 or c.second_width > 0.0
+
+
+@wp.func
+def edges_of_view(c: Params) -> wp.vec2:
+    """Return the lowest and the highest elevation of the field of view [deg]."""
+    lowest = c.view_min
+    highest = c.view_max
+    if c.second_width > 0.0:
+        lowest = wp.min(lowest, c.second_min)
+        highest = wp.max(highest, c.second_max)
+    return wp.vec2(lowest, highest)
+
+
+@wp.func
+def is_beside(azimuth: float, c: Params) -> bool:
+    """Return True if nothing is seen at an azimuth [rad]."""
+    return not (is_within(azimuth, c.view_middle, c.view_width) or is_within(azimuth, c.second_middle, c.second_width))
+
+
+@wp.func
+def edges_at(azimuth: float, edges: wp.vec2, c: Params) -> wp.vec2:
+    """Return the lowest and the highest elevation [deg] that are seen at an azimuth [rad].
+
+    Beside the view they are `edges`, those of the whole view: ground that was seen in passing continues nowhere.
+    """
+    lowest = float(wp.INF)
+    highest = float(-wp.INF)
+    if is_within(azimuth, c.view_middle, c.view_width):
+        lowest = c.view_min
+        highest = c.view_max
+    if is_within(azimuth, c.second_middle, c.second_width):
+        lowest = wp.min(lowest, c.second_min)
+        highest = wp.max(highest, c.second_max)
+    if lowest > highest:
+        return edges
+    return wp.vec2(lowest, highest)
 
 
 @wp.kernel
@@ -140,8 +192,9 @@ def find_edges(tuning: KernelTuning) -> wp.Kernel:
         origin = problem.position[b]
         moved = c.view_age * problem.velocity[b]
         height = wp.PI / float(rows)
-        lowest = wp.radians(c.view_min) + _EDGE_ROWS * height
-        highest = wp.radians(c.view_max) - _EDGE_ROWS * height
+        margin = _EDGE_ROWS * height
+        edges = edges_of_view(c)
+        narrow = is_narrow(c)
         first, end = cells_of_thread(thread, worker, workers, WIDTH, rows * columns)
         _, _, _, sources = rotate(first, wp.vec4(q[0], -q[1], -q[2], -q[3]), cells)
         for j in range(end - first):
@@ -154,9 +207,14 @@ def find_edges(tuning: KernelTuning) -> wp.Kernel:
                 d = quat_inverse_rotate(view_quaternion[b], offset + moved)
                 then = near_atan2(d[2], wp.sqrt(d[0] * d[0] + d[1] * d[1]))
                 now = (float(source // columns) + 0.5) * height - 0.5 * wp.PI
-                if wp.min(now, then) <= lowest:
+                edges_now = edges
+                edges_then = edges
+                if narrow:
+                    edges_now = edges_at((float(source % columns) + 0.5) * height - wp.PI, edges, c)
+                    edges_then = edges_at(near_atan2(d[1], d[0]), edges, c)
+                if now <= wp.radians(edges_now[0]) + margin or then <= wp.radians(edges_then[0]) + margin:
                     lower = surface
-                if wp.max(now, then) >= highest:
+                if now >= wp.radians(edges_now[1]) - margin or then >= wp.radians(edges_then[1]) - margin:
                     upper = surface
             surfaces[b, 0, place_of_cell(first + j, 0, rows, columns)] = lower
             surfaces[b, 1, place_of_cell(first + j, 1, rows, columns)] = upper
@@ -218,13 +276,15 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
         # configuration
         params: wp.array(dtype=Params),
         # in
+        view_quaternion: wp.array(dtype=wp.vec4),
         surfaces: wp.array3d(dtype=wp.vec2),
         # in and out
         cells: Cells,
     ):
-        """Fill empty cells with the continuation of a surface, by at most `continuation`.
+        """Fill empty cells with the continuation of a surface, by at most `continuation`, or with unknown space.
 
-        Filled cells are marked as CONTINUED. Launched over [B, threads], see `cells_of_thread`.
+        Filled cells are marked as CONTINUED. A cell is beside the view if it was `view_age` ago, at the attitude
+        `view_quaternion`. Launched over [B, threads], see `cells_of_thread`.
         """
         b, thread = wp.tid()
         c = params[b]
@@ -235,7 +295,9 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
         q = wp.normalize(problem.quaternion[b])
         origin = problem.position[b]
         range_max = farthest(c)
-        middle = 0.5 * wp.radians(c.view_min + c.view_max)
+        edges = edges_of_view(c)
+        middle = 0.5 * wp.radians(edges[0] + edges[1])
+        narrow = is_narrow(c)
         first, end = cells_of_thread(thread, worker, workers, WIDTH, rows * columns)
         dx, dy, dz, sources = rotate(first, q, cells)
         for j in range(end - first):
@@ -248,6 +310,11 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
                 distance = surface[0] / flat
                 depth = surface[1] - distance * dz[j]
                 is_near = distance <= range_max and wp.where(side == 0, depth, -depth) <= c.continuation
+                if narrow:
+                    then = quat_inverse_rotate(view_quaternion[b], wp.vec3(dx[j], dy[j], dz[j]))
+                    if is_beside(near_atan2(then[1], then[0]), c):
+                        distance = wp.min(wp.where(is_near, distance, range_max), c.unknown_range)
+                        is_near = True
                 if is_near and cells.occupied[b, cell] != 1:
                     cells.range[b, cell] = distance
                     cells.points[b, cell] = origin + distance * wp.vec3(dx[j], dy[j], dz[j])

@@ -57,7 +57,12 @@ def _continue(r: Recorder) -> list[list[Launches]]:
             continuation.find_edges(r.tuning), cells, [r.problem, r.params, a.view_quaternion, r.cells], [a.surfaces]
         ),
         shared(continuation.find_nearest_surfaces, columns, [r.params, sizes.F0, sizes.F1], [a.surfaces], 32),
-        shared(continuation.continue_surfaces(r.tuning), cells, [r.problem, r.params, a.surfaces], [r.cells]),
+        shared(
+            continuation.continue_surfaces(r.tuning),
+            cells,
+            [r.problem, r.params, a.view_quaternion, a.surfaces],
+            [r.cells],
+        ),
     ]
 
 
