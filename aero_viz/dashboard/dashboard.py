@@ -28,7 +28,7 @@ from aero_viz.dashboard.layers import (
 )
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
-from aero_viz.dashboard.panels.layout import build
+from aero_viz.dashboard.panels.layout import Offer, build
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
@@ -56,7 +56,7 @@ class Dashboard:
         seed: first value of the seed that the page passes to `open_source`.
         opened: argument of `open_source` for the session's source; the page may open it again.
         conditions: first values of the conditions that the page passes to `open_source`; None does not offer them.
-        layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
+        layers: layers to draw, in the order of the page; None draws all of `LAYERS`.
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
@@ -81,7 +81,7 @@ class Dashboard:
         seed: int = 0,
         opened: str = "",
         conditions: Conditions | None = None,
-        layers: Sequence[type[Layer]] = LAYERS,
+        layers: Sequence[type[Layer]] | None = None,
         panels: bool = True,
         folders: Sequence[str | Path] = (),
         allowed_hosts: Sequence[str] = (),
@@ -94,7 +94,8 @@ class Dashboard:
         self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
         """The web server."""
         self.server.catch_up = session.catch_up
-        kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
+        drawable = LAYERS.values() if layers is None else layers
+        kinds = [kind for kind in drawable if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer]
         """The layers by name."""
         self.panels: list[Panel]
@@ -119,17 +120,8 @@ class Dashboard:
             self.layers = {kind.name: known.get(kind) or kind(self.server) for kind in kinds}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
-                self._camera, self.panels = build(
-                    self._page,
-                    open_source=open_source,
-                    choices=choices,
-                    seed=seed,
-                    folders=Folders(folders),
-                    opened=opened,
-                    conditions=conditions,
-                    files=files,
-                    study=study,
-                )
+                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study)
+                self._camera, self.panels = build(self._page, offer)
             else:
                 self._camera = CameraPanel(self._page)
                 self.panels = [self._camera]

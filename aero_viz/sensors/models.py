@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.parameters import ParameterSection, choice, did_you_mean, live, structural
+from aero_planner.parameters import ParameterSection, choice, live, structural
 from aero_viz.errors import UserError
+from aero_viz.registry import Registry
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,15 @@ _MODELS = (
         pattern="rings",
     ),
 )  # fmt: skip
-LIDARS = {model.name: model for model in _MODELS}
+
+
+def _accept(name: str, found: Any) -> LidarModel:
+    if not isinstance(found, LidarModel):
+        raise UserError(f"{name} is not a LiDAR; give a LidarModel.")
+    return replace(found, name=name)
+
+
+LIDARS: Registry[LidarModel] = Registry("LiDAR", "aero_viz.sensors", {model.name: model for model in _MODELS}, _accept)
 """By name: the Livox Mid-360, a sensor of its rate without blind zones, and a spinning sensor with 64 rings."""
 
 
@@ -95,6 +104,4 @@ def lidar_model(name: str) -> LidarModel:
     Raises:
         UserError: there is no such model; the message lists all.
     """
-    if name not in LIDARS:
-        raise UserError(f"Unknown LiDAR {name!r}{did_you_mean(name, LIDARS)}; LiDARs: {', '.join(LIDARS)}.")
-    return LIDARS[name]
+    return LIDARS.known(name)

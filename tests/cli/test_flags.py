@@ -1,16 +1,15 @@
 """Flags that derive from parameters, and the configuration that they describe."""
 
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from command_line import run, terminal_text
 
 from aero_planner import PlannerConfig
-from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, LidarName, WorldFlags
+from aero_viz.cli.flags import ConfigFlags, DroneFlags, FlightFlags, WorldFlags
 from aero_viz.cli.page import flight_opener
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
-from aero_viz.sensors import LIDARS
 
 
 def flags(config: str = "default", **costs: Any) -> ConfigFlags:
@@ -30,10 +29,6 @@ def flags(config: str = "default", **costs: Any) -> ConfigFlags:
 )
 def test_only_the_paper_preset_ignores_the_ground(config_flags: ConfigFlags, use_ground: bool):
     assert config_flags.load().costs.use_ground == use_ground
-
-
-def test_every_lidar_can_be_chosen():
-    assert get_args(LidarName) == tuple(LIDARS)
 
 
 def test_the_help_of_a_pose_names_its_angles(capsys: pytest.CaptureFixture[str]):
