@@ -60,6 +60,7 @@ class Dashboard:
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
+        embedders: origins of foreign pages that may show the page in a frame, such as that of a notebook.
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
@@ -85,13 +86,14 @@ class Dashboard:
         panels: bool = True,
         folders: Sequence[str | Path] = (),
         allowed_hosts: Sequence[str] = (),
+        embedders: Sequence[str] = (),
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: StoredStudy | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:
-        self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
+        self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts, embedders=embedders)
         """The web server."""
         self.server.catch_up = session.catch_up
         drawable = LAYERS.values() if layers is None else layers
