@@ -131,15 +131,13 @@ class Registry(Mapping[str, T]):
     def _load(self, name: str) -> T:
         if name in self._added:
             return self._added[name]
-        part: Any = self.shipped.get(name)
-        if name in self.shipped and not isinstance(part, str):
-            return part
+        if name in self.shipped:
+            part: Any = self.shipped[name]
+            return self._accept(name, find_attribute(part)) if isinstance(part, str) else part
         if name in self._brought:
-            part = self._brought[name].place
-        if part is None:
-            part = name
-            _import_also_from_here(name.partition(":")[0])
-        return self._accept(name, find_attribute(part))
+            return self._accept(name, find_attribute(self._brought[name].place))
+        _import_also_from_here(name.partition(":")[0])
+        return self._accept(name, find_attribute(name))
 
     def problem(self, name: str) -> str:
         """Return why a part cannot be imported, and log it the first time; empty if it can."""
@@ -190,7 +188,7 @@ class Registry(Mapping[str, T]):
 
     def name_of(self, place: str) -> str:
         """Return the name of the part at a place, or the place."""
-        places = {name: plug_in.place for name, plug_in in self._brought.items()} | dict(self.shipped)
+        places = {**self.shipped, **{name: plug_in.place for name, plug_in in self._brought.items()}}
         return next((name for name, part in places.items() if part == place), place)
 
     def plug_ins(self) -> list[tuple[PlugIn, str]]:

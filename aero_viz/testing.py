@@ -53,12 +53,12 @@ def check_flights(request: pytest.FixtureRequest) -> Callable[..., PairedCompari
 
     def check(world: str, config: str | Path | DroneConfig = "default", **options: Any) -> PairedComparison:
         flights = FlightCheck(world, config, folder=request.path.parent, **options)
-        name = flights.name or re.sub(r"[^\w.-]+", "-", request.node.name)
+        name = flights.name or re.sub(r"[^\w.]+", "-", request.node.name).strip("-")
         path = flights.folder / "baselines" / f"{name}.json"
         if path in checked:
             raise ValueError(f"{path} is the baseline of an earlier check of this test; give this one a name.")
         checked.add(path)
-        return flights.run(path, update=request.config.getoption(_UPDATE))
+        return flights.run(path, update=bool(request.config.getoption(_UPDATE)))
 
     return check
 

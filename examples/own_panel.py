@@ -22,7 +22,7 @@ CAPACITY = 60.0 * 9.81  # thrust times time [N s]: a minute of hovering with 1 k
 class BatteryPanel(Panel):
     """Charge of a battery, by the thrust of the plans."""
 
-    title, icon = "Battery", "battery-2"
+    title, icon = "Battery", viser.Icon.BATTERY
 
     def create(self, gui: viser.GuiApi) -> None:
         self.used = self.time = 0.0

@@ -25,15 +25,18 @@ KINDS = {
     "command": ("greet = brought:greet", "torn = torn_module:run"),
     "planner": ("straight = straight:Straight", "torn = straight:Line"),
     "cost term": ("altitude = altitude:TERM", "torn = torn_module:TERM"),
+    "model": ("tank = altitude:TANK", "acceleration = altitude:TANK"),
 }
 """Entry points of each kind: one that is used, and one that is left out."""
 GROUPS = {
     "scene": "aero_viz.scenes", "LiDAR": "aero_viz.sensors", "format": "aero_viz.formats", "layer": "aero_viz.layers",
     "panel": "aero_viz.panels", "command": "aero_viz.commands", "planner": "aero_viz.planners",
-    "cost term": "aero_planner.cost_terms",
+    "cost term": "aero_planner.cost_terms", "model": "aero_planner.models",
 }  # fmt: skip
 ALTITUDE = """
 from aero_planner.costs import CostTerm
+from aero_planner.models import VehicleModel
+TANK = VehicleModel("tank", "Tank", (("speed", "m/s"), ("turn", "rad/s"), ("", ""), ("", "")), *[None] * 6)
 TERM = CostTerm("altitude", "altitude")
 """
 PAGE = """

@@ -5,71 +5,83 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
-from straight import StraightConfig
 
-from aero_planner.config.file import save_config
+from aero_viz.evaluation.batching import FlightOptions
+from aero_viz.flight import FlightRules
+from aero_viz.testing import FlightCheck
 
-TEST = """
+TESTS = """
+import os
+import pytest
 from aero_viz.evaluation.batching import FlightOptions
 from aero_viz.flight import FlightRules
 
-def test_speed(check_flights):
-    rules = FlightRules(time_limit=6.0)
-    found = check_flights("brought:gate", {config!r}, planner="straight:Straight", flights=6, count=0, speed={speed},
-                          lidar="brought:LIDAR", options=FlightOptions(rules=rules))
-    print("arrived", found.arrived_b)
+OPTIONS = {"planner": "straight:Straight", "lidar": "brought:LIDAR", "count": 0, "flights": 6,
+           "options": FlightOptions(rules=FlightRules(time_limit=6.0))}
+SPEEDS = {"same": (3, 3), "slower": (4, 3), "late": (3, 1)}  # [m/s], the time limit allows 1.3
+IS_CHANGED = "CHANGED" in os.environ
+
+@pytest.mark.parametrize("case", SPEEDS)
+def test_speed(case, check_flights):
+    found = check_flights("brought:gate", speed=SPEEDS[case][IS_CHANGED], **OPTIONS)
+    print(case, "arrived", found.arrived_a, found.arrived_b)
+
+def test_files(check_flights):
+    check_flights("gate.json", "fast.yaml", name="fast", **{**OPTIONS, "count": None})
 """
 
 
-def run(folder: Path, *flags: str, speed: float = 3.0, config: str = "default") -> tuple[int, str]:
-    """Return the exit code and the output of pytest in a folder with one test."""
-    (folder / "test_speed.py").write_text(TEST.format(speed=speed, config=config))
+def run(folder: Path, *flags: str, **variables: str) -> str:
+    """Return what pytest prints for the tests in a folder."""
     paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "aero_viz.testing", "-p", "no:cacheprovider", "-rP", *flags]
-    done = subprocess.run(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)}, capture_output=True, text=True
-    )
-    return done.returncode, done.stdout + done.stderr
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "aero_viz.testing", "-p", "no:cacheprovider", "-rPf", *flags]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **variables}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300).stdout
 
 
-@pytest.fixture
-def stored(tmp_path: Path) -> Path:
-    """Folder with a test and its baseline, at 3 m/s."""
-    code, text = run(tmp_path, "--aero-viz-update")
-    assert code == 0, text
-    return tmp_path
-
-
-def test_flights_are_stored_and_compared(stored: Path):
-    baseline = json.loads((stored / "baselines/test_speed.json").read_text())
+def test_a_configuration_that_flies_worse_than_what_was_stored_fails(tmp_path: Path):
+    (tmp_path / "test_gate.py").write_text(TESTS)
+    (tmp_path / "gate.json").write_text('{"name": "gate", "start": [0, 0, 2], "goal": [5, 0, 2]}')
+    (tmp_path / "fast.yaml").write_text("planner: straight:Straight\nvehicle:\n  speed_limit: 4.0\n")
+    text = run(tmp_path, "--aero-viz-update")
+    assert "4 passed" in text, text
+    baseline = json.loads((tmp_path / "baselines/test_speed-late.json").read_text())
     assert [flight["seed"] for flight in baseline["flights"]] == [0, 1, 2, 3, 4, 5]
+    assert all(flight["arrived"] and 2.0 < flight["flight_time_s"] < 6.0 for flight in baseline["flights"])
     assert baseline["conditions"]["world"] == "brought:gate" and baseline["conditions"]["rules"]["time_limit"] == 6.0
-    code, text = run(stored)
-    assert code == 0 and "arrived 6" in text, text
-    code, text = run(stored, speed=4.0)
-    assert code == 0, "faster is not worse"
+
+    text = run(tmp_path, CHANGED="1")
+    assert "2 failed, 2 passed" in text, text
+    assert "same arrived 6 6" in text
+    assert "Flights through brought:gate are worse than before: 6 of 6 arrive instead of 6 (p = 1), in +0." in text
+    assert "Flights through brought:gate are worse than before: 0 of 6 arrive instead of 6 (p = 0.031)." in text
+    assert "baselines/test_speed-late.json; if this is intended, store it with pytest --aero-viz-update." in text
 
 
-def test_a_configuration_that_flies_worse_fails(stored: Path):
-    code, text = run(stored, speed=2.0)
-    assert code == 1 and "worse than before: 6 of 6 arrive instead of 6 (p = 1), in +1." in text, text
-    assert "baselines/test_speed.json; if this is intended, store it with pytest --aero-viz-update." in text
-    save_config(StraightConfig().replace({"line.gain": 0.2}), stored / "soft.yaml")
-    code, text = run(stored, config="soft.yaml", speed=1.0)
-    assert code == 1 and "worse than before: 0 of 6 arrive instead of 6 (p = 0.031)" in text, text
-    assert run(stored, "--aero-viz-update", config="soft.yaml", speed=1.0)[0] == 0
-    assert run(stored, config="soft.yaml", speed=1.0)[0] == 0
+CONDITIONS: dict[str, Any] = {"world": "forest", "config": "default"}
 
 
-def test_a_baseline_that_cannot_be_used_is_named(tmp_path: Path, stored: Path):
-    file = stored / "baselines/test_speed.json"
-    content = json.loads(file.read_text())
-    file.write_text(json.dumps({**content, "conditions": {**content["conditions"], "seed": 7}}))
-    assert "was flown with another seed; " in run(stored)[1]
-    file.write_text(json.dumps({"flights": 3}))
-    code, text = run(stored)
-    assert code == 1 and "is damaged ('conditions'); store it again" in text
-    file.unlink()
-    assert "There is no baseline" in run(stored)[1]
+def refusal(path: Path, **options: Any) -> str:
+    """Return why a baseline is refused, before anything is flown."""
+    with pytest.raises(pytest.fail.Exception) as refused:
+        FlightCheck(**CONDITIONS, folder=path.parent, **options).run(path, update=False)
+    return str(refused.value)
+
+
+def test_a_baseline_that_cannot_be_used_is_named(tmp_path: Path):
+    path = tmp_path / "forest.json"
+    assert refusal(path) == f"There is no baseline {path}; store one with pytest --aero-viz-update."
+    for text in ("{", "[]", "{}", '{"conditions": {}, "flights": [{"seed": 3}]}'):
+        path.write_text(text)
+        assert f"The baseline {path} is damaged (" in refusal(path), text
+    path.write_text(json.dumps({"conditions": {}, "flights": []}))
+    options = FlightOptions(rules=FlightRules(time_limit=6.0))
+    assert "was flown with another world, another seed, another flights, " in refusal(path, options=options)
+
+
+def test_so_few_flights_that_none_could_fail_are_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="flights is 5; with fewer than 6, no test can tell"):
+        FlightCheck(**CONDITIONS, folder=tmp_path, flights=5)

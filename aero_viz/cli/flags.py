@@ -105,7 +105,7 @@ def _default(info: ParameterInfo) -> str:
     if info.section == "drone" and info.name in PLANNED:
         return f"vehicle.{info.name}"
     if info.section == "lidar":
-        values = {name: getattr(model, info.name) for name, model in LIDARS.items() if name in LIDARS.shipped}
+        values = {name: getattr(LIDARS[name], info.name) for name in LIDARS.shipped}
         if len(set(values.values())) > 1:
             return ", ".join(f"{value} for {name}" for name, value in values.items())
     return f"{info.default}"

@@ -40,7 +40,10 @@ and its reader, or None if the file has another format."""
 
 
 def _bag(name: str, magic: bytes, reader: Callable[[Path], BagFile]) -> Opener:
-    return lambda path, start, choices: (name, reader(path)) if start.startswith(magic) else None
+    def open_bag(path: Path, start: bytes, choices: Choices) -> tuple[str, BagFile] | None:
+        return (name, reader(path)) if start.startswith(magic) else None
+
+    return open_bag
 
 
 def _accept(name: str, found: Any) -> Opener:

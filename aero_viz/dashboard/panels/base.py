@@ -140,7 +140,7 @@ class Panel:
 
     title: ClassVar[str] = ""
     """Name of the tab of a panel that has a tab to itself."""
-    icon: ClassVar[viser.IconName] = "puzzle"
+    icon: ClassVar[viser.IconName] = viser.Icon.PUZZLE
     """Icon of that tab."""
 
     def __init__(self, page: Page) -> None:
