@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import logging
+import re
 import socket
 from collections.abc import Sequence
 from urllib.parse import urlsplit
@@ -12,19 +13,16 @@ from websockets import Headers
 
 from aero_viz.errors import UserError
 
-SECURITY_HEADERS = {
-    # viser's page unpacks and evaluates its own scripts, and starts workers of them.
-    "Content-Security-Policy": (
-        "default-src 'self' data: blob: 'unsafe-inline'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
-        "object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
-    ),
-    "X-Frame-Options": "DENY",
+# viser's page unpacks and evaluates its own scripts, and starts workers of them.
+_POLICY = (
+    "default-src 'self' data: blob: 'unsafe-inline'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
+    "object-src 'none'; base-uri 'none'; form-action 'none'; frame-ancestors "
+)
+_HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-"""Headers of every answer: no foreign page may frame or embed the page, and it loads nothing from elsewhere."""
-
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
@@ -43,20 +41,34 @@ class Access:
         host: address that the server listens on.
         allowed_hosts: further names under which browsers reach the server, such as that of a proxy.
         allowed_origins: origins of foreign pages that are answered, such as https://app.foxglove.dev.
+        embedders: origins of foreign pages that may show ours in a frame, such as http://localhost:8888 of a notebook.
 
     Raises:
-        UserError: an allowed host is not a name or an address, or an allowed origin is not one.
+        UserError: an allowed host is not a name or an address, or an origin is not one.
 
     Attributes:
+        security_headers: headers of every answer: no other foreign page may frame or embed the page, and it loads
+            nothing from elsewhere.
         is_local: True if only this machine can reach the address.
         is_private: True if only this machine can reach the page: the address is local, and there is no proxy.
     """
 
-    def __init__(self, host: str, allowed_hosts: Sequence[str] = (), allowed_origins: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        host: str,
+        allowed_hosts: Sequence[str] = (),
+        allowed_origins: Sequence[str] = (),
+        embedders: Sequence[str] = (),
+    ) -> None:
         host = _canonical(host)
         self.is_local = host == "localhost" or (_is_address(host) and ipaddress.ip_address(host).is_loopback)
         self._proxies = {_checked(name) for name in allowed_hosts}
         self._origins = {_checked_origin(origin) for origin in allowed_origins}
+        # The older header can name no origins; browsers that know frame-ancestors go by that.
+        frames = {"X-Frame-Options": "DENY"} if not embedders else {}
+        ancestors = " ".join(map(_checked_page, embedders)) or "'none'"
+        self.security_headers = {"Content-Security-Policy": _POLICY + ancestors, **frames, **_HEADERS}
+        self._is_embedded = bool(embedders)
         self.is_private = self.is_local and not self._proxies
         self._names = {*_LOOPBACK, *self._proxies}
         self._any_address = host in ANY_ADDRESS
@@ -81,7 +93,7 @@ class Access:
             return None
         if written is not None and (origin is None or not self._is_own(origin, host)):
             return f"The request comes from the page of another origin, {written[:100]!r}."
-        if not _is_own_navigation(headers):
+        if not _is_own_navigation(headers, in_frames=self._is_embedded):
             return "The request was made by a page of another site."
         return None
 
@@ -156,11 +168,15 @@ def _is_address(name: str) -> bool:
     return True
 
 
-def _is_own_navigation(headers: Headers) -> bool:
-    """Return False if the browser says that a page of another site asks, except for a link that opens our page."""
+def _is_own_navigation(headers: Headers, *, in_frames: bool) -> bool:
+    """Return False if the browser says that a page of another site asks, except for a link that opens our page.
+
+    With `in_frames`, it may open in a frame, too: the answer tells the browser in which pages.
+    """
     if (_only(headers, "Sec-Fetch-Site") or "none") in ("none", "same-origin"):
         return True
-    return _only(headers, "Sec-Fetch-Mode") == "navigate" and _only(headers, "Sec-Fetch-Dest") == "document"
+    shown = ("document", "iframe") if in_frames else ("document",)
+    return _only(headers, "Sec-Fetch-Mode") == "navigate" and _only(headers, "Sec-Fetch-Dest") in shown
 
 
 def _checked(name: str) -> str:
@@ -177,6 +193,14 @@ def _checked_origin(text: str) -> tuple[str, str, int | None]:
             f"{text!r} is not the origin of a page, such as https://viz.example.org or http://localhost:8080."
         )
     return origin
+
+
+def _checked_page(text: str) -> str:
+    """Return the origin of a web page as browsers write it."""
+    scheme, name, port = _checked_origin(text)
+    if scheme not in _PORTS or re.fullmatch(r"[\w.-]+|[0-9a-f:]+", name) is None:
+        raise UserError(f"{text!r} is not the origin of a web page, such as http://localhost:8888.")
+    return f"{scheme}://{f'[{name}]' if ':' in name else name}{'' if port == _PORTS[scheme] else f':{port}'}"
 
 
 def local_address(host: str, port: int) -> str:

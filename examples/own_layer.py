@@ -34,7 +34,7 @@ class ThrustLayer(Layer):
 
 
 session = Session(open_source("forest", seed=3))
-dashboard = Dashboard(session, port=0, layers=(*LAYERS, ThrustLayer))  # port 0: any free port
+dashboard = Dashboard(session, port=0, layers=(*LAYERS.values(), ThrustLayer))  # port 0: any free port
 session.start()
 print(dashboard.url)
 input("Press Enter to stop. ")

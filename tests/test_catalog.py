@@ -28,7 +28,7 @@ def test_a_saved_world_loads_unchanged(tmp_path: Path):
     ("spec", "options", "message"),
     [
         ("forrest", {}, "forest"),
-        ("", {}, "Unknown scene ''; give one of forest"),
+        ("", {}, "There is no scene ''; give one of forest"),
         ("no/such/world.json", {}, r"no/such/world\.json"),
         ("missing.mcap", {}, r"missing\.mcap"),
         ("forest", {"lidar": "mid361"}, "mid360"),

@@ -32,7 +32,7 @@ def test_names_are_complete():
     assert set(BENCHMARKS) <= set(benchmarks)
     assert rows(TEXT, "Sensor")[0][1:] == list(LIDARS)
     layers = {row[0] for row in rows(TEXTS["docs/page.md"], "Layers of what is not measured")[1:]}
-    assert layers and layers <= {layer.title for layer in LAYERS}
+    assert layers and layers <= {layer.title for layer in LAYERS.values()}
 
 
 def test_the_session_flies_as_the_command_does(capsys: pytest.CaptureFixture[str], tmp_path: Path):

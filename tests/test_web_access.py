@@ -74,6 +74,44 @@ def test_foreign_names_and_pages_are_refused(headers):
     assert refused(Access("127.0.0.1"), headers)
 
 
+FRAME = {
+    "Host": "localhost:8080",
+    "Sec-Fetch-Site": "cross-site",
+    "Sec-Fetch-Mode": "navigate",
+    "Sec-Fetch-Dest": "iframe",
+}
+
+
+@pytest.mark.parametrize(
+    ("origin", "written"),
+    [
+        ("http://localhost:8888", "http://localhost:8888"),
+        ("HTTPS://Hub.Example.org", "https://hub.example.org"),
+        ("http://[::1]:8888", "http://[::1]:8888"),
+    ],
+)
+def test_a_page_may_show_ours_in_a_frame_if_it_was_named(origin: str, written: str):
+    access = Access("127.0.0.1", embedders=[origin])
+    assert access.security_headers["Content-Security-Policy"].endswith(f"; frame-ancestors {written}")
+    assert "X-Frame-Options" not in access.security_headers and not refused(access, FRAME)
+    assert refused(access, {**FRAME, "Sec-Fetch-Dest": "embed"})
+    assert refused(access, {**OWN, "Origin": origin}), "it reads nothing"
+
+
+def test_no_page_may_show_ours_in_a_frame_otherwise():
+    access = Access("127.0.0.1", allowed_origins=["http://localhost:8888"])
+    assert access.security_headers["Content-Security-Policy"].endswith("; frame-ancestors 'none'")
+    assert access.security_headers["X-Frame-Options"] == "DENY" and refused(access, FRAME)
+
+
+@pytest.mark.parametrize(
+    "origin", ["", "*", "localhost:8888", "http://*", "file://", "http://a;b", "http://a b", "http://a/x"]
+)
+def test_what_is_no_origin_of_a_page_cannot_embed(origin: str):
+    with pytest.raises(UserError, match="is not the origin"):
+        Access("127.0.0.1", embedders=[origin])
+
+
 def test_a_header_that_is_given_twice_is_refused():
     headers = Headers(OWN)
     headers["Origin"] = "http://evil.example"

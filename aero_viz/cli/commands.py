@@ -1,11 +1,15 @@
-"""All commands of `aero-viz`. Their modules are imported only on use, which keeps `aero-viz --help` fast."""
+"""All commands of `aero-viz`. The modules of those that ship are imported only on use, which keeps `--help` fast."""
 
 from __future__ import annotations
 
 import importlib
+import inspect
 from collections.abc import Callable
+from typing import Any
 
 from aero_viz.cli.parser import Command
+from aero_viz.errors import UserError
+from aero_viz.registry import Registry
 
 
 def _command(module: str, function: str, summary: str, *, needs: str = "") -> Command:
@@ -15,7 +19,16 @@ def _command(module: str, function: str, summary: str, *, needs: str = "") -> Co
     return Command(load, summary, needs)
 
 
-COMMANDS: dict[str, Command] = {
+def _accept(name: str, found: Any) -> Command:
+    """Return a `Command`, or that of a function with a docstring."""
+    if isinstance(found, Command):
+        return found
+    if not (inspect.isfunction(found) and found.__doc__):
+        raise UserError(f"{name} is not a command; give a function with a docstring, from which tyro makes flags.")
+    return Command(lambda: found, inspect.cleandoc(found.__doc__).partition("\n")[0])
+
+
+_SHIPPED: dict[str, Command | str] = {
     "demo": _command("page", "demo", "Fly a synthetic scene live in the browser."),
     "play": _command("page", "play", "Run the planner on a recording, open loop, live in the browser."),
     "connect": _command("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
@@ -76,4 +89,5 @@ COMMANDS: dict[str, Command] = {
     "parameters": _command("tools", "parameters", "Print a Markdown table of every planner parameter."),
     "doctor": _command("tools", "doctor", "Check this machine and print how to install what is missing."),
 }
-"""Commands by name, in the order of the help text."""
+COMMANDS: Registry[Command] = Registry("command", "aero_viz.commands", _SHIPPED, _accept)
+"""All commands by name, in the order of the help text."""

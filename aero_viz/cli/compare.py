@@ -50,9 +50,7 @@ def compare(
         stack.callback(session.close)
         shutdown = shutdown_event()
         history = LoggedHistory(comparison, start=source.start if isinstance(source, FlightReplay) else 0.0)
-        dashboard = Dashboard(
-            session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host, history=history
-        )
+        dashboard = Dashboard(session, **page_flags.server_options, history=history)
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
         announce(f"{b} with the ghost of {a}", dashboard.server, page_flags)

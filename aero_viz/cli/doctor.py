@@ -6,17 +6,51 @@ import importlib.metadata
 import os
 import platform
 import sys
+from dataclasses import dataclass
+from typing import Any, get_args
 
+from aero_planner import registry
 from aero_planner.check_report import Check, CheckReport
 from aero_viz.browser import find_chromium
 from aero_viz.errors import UserError
-from aero_viz.planners.registry import SHIPPED, load, names
+from aero_viz.planners.registry import PLANNERS
 
 _PACKAGES = ("aero-planner", "aero-viz", "warp-lang", "numpy", "viser", "rosbags", "mcap", "trimesh", "tyro")
 
 
-def examine() -> CheckReport:
+@dataclass(frozen=True)
+class PlugInState:
+    """What an installed distribution brings, and whether it is used."""
+
+    name: str
+    kind: str
+    """Such as "scene" or "cost term"."""
+    distribution: str
+    place: str
+    state: str
+    """"ok", or why it is left out."""
+
+    def check(self) -> Check:
+        """Return the state as a check; nothing that was brought is required."""
+        finding = f"{self.distribution}, {self.place}" if self.state == "ok" else self.state
+        advice = f"Update or remove {self.distribution}, which brings it."
+        return Check(f"{self.kind} {self.name}", finding, ok=self.state == "ok", required=False, advice=advice)
+
+
+@dataclass(frozen=True)
+class DoctorReport(CheckReport):
+    """The checks of this machine, and everything that other distributions bring."""
+
+    plug_ins: tuple[PlugInState, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the checks, and the plug-ins as a list of dictionaries at "plug_ins"."""
+        return {**super().to_dict(), "plug_ins": [vars(plug_in) for plug_in in self.plug_ins]}
+
+
+def examine() -> DoctorReport:
     """Check this machine. This takes a few seconds, because it plans once on every device."""
+    plug_ins = find_plug_ins()
     is_supported = sys.version_info >= (3, 11)
     checks = [
         Check("python", platform.python_version(), is_supported, advice="Use Python 3.11 or newer."),
@@ -25,11 +59,31 @@ def examine() -> CheckReport:
         *_check_devices(),
         _check_package("playwright", needed_for="snapshots and browser tests"),
         _check_browser(),
-        *map(_check_planner, names()),
+        *map(_check_planner, PLANNERS.shipped),
+        *(plug_in.check() for plug_in in plug_ins),
     ]
-    return CheckReport(
-        tuple(checks), "Everything required is installed.", "Something required is missing; see FAIL above."
+    return DoctorReport(
+        tuple(checks), "Everything required is installed.", "Something required is missing; see FAIL above.", plug_ins
     )
+
+
+def find_plug_ins() -> tuple[PlugInState, ...]:
+    """Import everything that entry points bring, and return what became of it."""
+    from aero_viz.cli.commands import COMMANDS
+    from aero_viz.dashboard.layers import LAYERS
+    from aero_viz.dashboard.panels.layout import PANELS
+    from aero_viz.recordings.storage import FORMATS
+    from aero_viz.scenes import SCENES
+    from aero_viz.sensors import LIDARS
+
+    found = [
+        (plug_in, parts.kind, problem)
+        for parts in (PLANNERS, SCENES, LIDARS, FORMATS, LAYERS, PANELS, COMMANDS)
+        for plug_in, problem in parts.plug_ins()
+    ]
+    for kind in get_args(registry.Kind):
+        found += [(plug_in, registry.label(kind), problem) for plug_in, problem in registry.checked(kind)]
+    return tuple(PlugInState(p.name, kind, p.distribution, p.place, problem or "ok") for p, kind, problem in found)
 
 
 def _check_package(name: str, *, needed_for: str = "") -> Check:
@@ -73,13 +127,12 @@ def _check_device(device: str) -> Check:
 
 
 def _check_planner(name: str) -> Check:
-    """Check that a planner can be imported; one that was brought is not required."""
+    """Check that a planner that ships can be imported."""
     try:
-        planner = load(name)
+        planner = PLANNERS[name]
         return Check(f"planner {name}", f"{len(planner.parameters())} parameters, {planner.__module__}")
     except UserError as error:
-        advice = "Reinstall or remove the package that brings it."
-        return Check(f"planner {name}", str(error), ok=False, required=name in SHIPPED, advice=advice)
+        return Check(f"planner {name}", str(error), ok=False, advice="Reinstall aero-viz.")
 
 
 def _check_browser() -> Check:

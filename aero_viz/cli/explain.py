@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from aero_planner.output_files import check_ending, check_output_files, whole_file
-from aero_viz.cli.flags import ConfigFlags, FlightFlags, Inline, LidarName, OptionalFloat, OptionalPath, WorldFlags
+from aero_viz.cli.flags import (
+    ConfigFlags,
+    FlightFlags,
+    Inline,
+    LidarName,
+    LogOrWorldName,
+    OptionalFloat,
+    OptionalPath,
+    WorldFlags,
+)
 from aero_viz.cli.output import print_report, progress_bar
 from aero_viz.errors import UserError
 
@@ -17,7 +24,7 @@ _WORLD = WorldFlags()
 
 
 def explain(
-    flight: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="LOG|WORLD")]],
+    flight: LogOrWorldName,
     *,
     picture: OptionalPath = None,
     speed: OptionalFloat = None,

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
+from tyro.constructors import PrimitiveConstructorSpec
 
 from aero_planner import PlannerConfig
 from aero_planner.config import DroneConfig, ParameterInfo
@@ -21,8 +22,9 @@ from aero_viz.flight.vehicle_model import PLANNED, VehicleModel
 from aero_viz.planners.registry import config_type
 from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.odometry_choice import OdometryChoice
+from aero_viz.registry import is_place
 from aero_viz.scenes.map_files import has_voxels
-from aero_viz.sensors.models import LIDARS, LidarModel, lidar_model
+from aero_viz.sensors.models import LIDARS, LidarModel, admit_lidars, lidar_model
 
 if TYPE_CHECKING:
     from aero_viz.scenes.world import World
@@ -30,11 +32,34 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 Inline = Annotated[T, tyro.conf.arg(name="")]
 """A group of flags whose names have no prefix."""
-WorldName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="WORLD")]]
+
+
+def _admit_scene(name: str) -> str:
+    if is_place(name):  # otherwise, nothing needs the scenes yet
+        from aero_viz.scenes import SCENES
+
+        SCENES.admit(name)
+    return name
+
+
+def _part(admit: Callable[[str], str], metavar: str) -> Any:
+    """Return the annotation of a name that may be the place "module:attribute" of a part, which is then imported."""
+    return PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=metavar,
+        instance_from_str=lambda values: admit(values[0]),
+        is_instance=lambda value: isinstance(value, str),
+        str_from_instance=lambda value: [value],
+    )
+
+
+WorldName = tyro.conf.Positional[Annotated[str, _part(_admit_scene, "WORLD")]]
+"""A scene, the file of a world, or "module:function" of a scene."""
+LogOrWorldName = tyro.conf.Positional[Annotated[str, _part(_admit_scene, "LOG|WORLD")]]
 FileName = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="FILE")]]
 OutputPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUTPUT")]]
-LidarName = Annotated[str, tyro.conf.arg(metavar="{" + ",".join(LIDARS) + "}[@YAW][+..]")]
-"""Name of a sensor model, or of several on one drone, see `lidar_model`."""
+LidarName = Annotated[str, _part(admit_lidars, "{" + ",".join([*LIDARS.shipped, "MODULE:NAME"]) + "}[@YAW][+..]")]
+"""A sensor of `LIDARS` or at "module:attribute", or several on one drone, see `lidar_model`."""
 Point = tuple[float, float, float]
 AERO_MPPI = PlannerConfig.planner
 """Name of the planner without --planner."""
@@ -80,7 +105,7 @@ def _default(info: ParameterInfo) -> str:
     if info.section == "drone" and info.name in PLANNED:
         return f"vehicle.{info.name}"
     if info.section == "lidar":
-        values = {name: getattr(model, info.name) for name, model in LIDARS.items()}
+        values = {name: getattr(LIDARS[name], info.name) for name in LIDARS.shipped}
         if len(set(values.values())) > 1:
             return ", ".join(f"{value} for {name}" for name, value in values.items())
     return f"{info.default}"

@@ -183,7 +183,7 @@ def connect(
         session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
         stack.callback(session.close)
         shutdown = shutdown_event()
-        dashboard = Dashboard(session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
+        dashboard = Dashboard(session, **page_flags.server_options)
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
         announce(drone, dashboard.server, page_flags)
@@ -277,7 +277,7 @@ def serve(
 
             from aero_viz.dashboard import LocalServer
 
-            server = LocalServer(host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host)
+            server = LocalServer(**page_flags.server_options)
             stack.callback(server.stop)
             note = server.gui.add_markdown(_STARTING)
             source = opener(spec, seed=seed)

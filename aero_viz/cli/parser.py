@@ -60,8 +60,8 @@ def parse(
             import tyro
 
             command = commands[name]
+            function = _with_flags_of_planner(command.load(), arguments[words:])
             with _value_rules(), _one_sentence(f"{prog} {name}"):
-                function = _with_flags_of_planner(command.load(), arguments[words:])
                 call = tyro.cli(_deferred(function), prog=f"{prog} {name}", args=arguments[words:])
             if command.needs:
                 importlib.import_module(command.needs)

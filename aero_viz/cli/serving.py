@@ -29,7 +29,7 @@ _FOXGLOVE_PORT = 8765
 """Foxglove's own default."""
 
 
-WATCHING = ("host", "port", "open", "paused", "allow_host", "foxglove", "foxglove_origin")
+WATCHING = ("host", "port", "open", "paused", "allow_host", "embed", "foxglove", "foxglove_origin")
 """Flags of a page that opens no files."""
 
 
@@ -49,6 +49,8 @@ class PageFlags:
     """Folder whose files the page may open, besides that of the first file and our own; may be repeated."""
     allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="NAME")] = ()
     """Further name under which browsers reach the page, such as that of a proxy; may be repeated."""
+    embed: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ORIGIN")] = ()
+    """Origin of another web page that may show this one in a frame, such as http://localhost:8888; may be repeated."""
     foxglove: FoxgloveFlag = None
     """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
     foxglove_origin: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ORIGIN")] = ()
@@ -91,6 +93,11 @@ class PageFlags:
         for flag in dataclasses.fields(self):
             if flag.name not in besides and getattr(self, flag.name) != flag.default:
                 raise UserError(f"--{flag.name.replace('_', '-')} has no effect here; {advice}.")
+
+    @property
+    def server_options(self) -> dict[str, Any]:
+        """Arguments of `LocalServer`, or of a dashboard with its own."""
+        return {"host": self.host, "port": self.port, "allowed_hosts": self.allow_host, "embedders": self.embed}
 
     @property
     def foxglove_options(self) -> dict[str, tuple[str, ...]]:

@@ -31,9 +31,7 @@ def serve_tour(opener: Opener, config: DroneConfig, page_flags: PageFlags, *, se
         session = Session(opener(STOPS[0].scene, seed=seed), config=config, device=device, seed=seed)
         stack.callback(session.close)
         shutdown = shutdown_event()
-        dashboard = Dashboard(
-            session, host=page_flags.host, port=page_flags.port, allowed_hosts=page_flags.allow_host, panels=False
-        )
+        dashboard = Dashboard(session, **page_flags.server_options, panels=False)
         stack.callback(dashboard.close)
         serve_foxglove(stack, session, page_flags)
         announce("the tour", dashboard.server, page_flags)

@@ -28,7 +28,7 @@ from aero_viz.dashboard.layers import (
 )
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
-from aero_viz.dashboard.panels.layout import build
+from aero_viz.dashboard.panels.layout import Offer, build
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
@@ -56,10 +56,11 @@ class Dashboard:
         seed: first value of the seed that the page passes to `open_source`.
         opened: argument of `open_source` for the session's source; the page may open it again.
         conditions: first values of the conditions that the page passes to `open_source`; None does not offer them.
-        layers: layers to draw, in the order of the page; to add one, pass (*LAYERS, MyLayer).
+        layers: layers to draw, in the order of the page; None draws all of `LAYERS`.
         panels: show the panels; without them the page loads in half the time.
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
+        embedders: origins of foreign pages that may show the page in a frame, such as that of a notebook.
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
@@ -81,20 +82,22 @@ class Dashboard:
         seed: int = 0,
         opened: str = "",
         conditions: Conditions | None = None,
-        layers: Sequence[type[Layer]] = LAYERS,
+        layers: Sequence[type[Layer]] | None = None,
         panels: bool = True,
         folders: Sequence[str | Path] = (),
         allowed_hosts: Sequence[str] = (),
+        embedders: Sequence[str] = (),
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: StoredStudy | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:
-        self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts)
+        self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts, embedders=embedders)
         """The web server."""
         self.server.catch_up = session.catch_up
-        kinds = [kind for kind in layers if session.controls is not None or not kind.needs_samples]
+        drawable = LAYERS.values() if layers is None else layers
+        kinds = [kind for kind in drawable if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer]
         """The layers by name."""
         self.panels: list[Panel]
@@ -119,17 +122,8 @@ class Dashboard:
             self.layers = {kind.name: known.get(kind) or kind(self.server) for kind in kinds}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
-                self._camera, self.panels = build(
-                    self._page,
-                    open_source=open_source,
-                    choices=choices,
-                    seed=seed,
-                    folders=Folders(folders),
-                    opened=opened,
-                    conditions=conditions,
-                    files=files,
-                    study=study,
-                )
+                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study)
+                self._camera, self.panels = build(self._page, offer)
             else:
                 self._camera = CameraPanel(self._page)
                 self.panels = [self._camera]

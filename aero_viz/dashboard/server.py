@@ -29,7 +29,7 @@ from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 from aero_viz.guests import BACKLOG, Guests, report_briefly
 from aero_viz.session.base import completed
-from aero_viz.web_access import ANY_ADDRESS, SECURITY_HEADERS, Access, is_encrypted, local_address, quiet_logger
+from aero_viz.web_access import ANY_ADDRESS, Access, is_encrypted, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter takes 8 kB."""
@@ -115,10 +115,11 @@ class LocalServer(viser.ViserServer):
         host: address to listen on.
         port: port to listen on; 0 takes any free one.
         allowed_hosts: names under which browsers reach the server besides `host`, such as that of a proxy.
+        embedders: origins of foreign pages that may show the page in a frame.
         upload_limit: size of the largest file that a page may upload [bytes].
 
     Raises:
-        UserError: the port is taken, the host is not an address of this machine, or an allowed host is not a name.
+        UserError: the port is taken, the host is not an address of this machine, or a name or an origin is none.
     """
 
     def __init__(
@@ -127,12 +128,13 @@ class LocalServer(viser.ViserServer):
         host: str = "127.0.0.1",
         port: int = 8080,
         allowed_hosts: Sequence[str] = (),
+        embedders: Sequence[str] = (),
         upload_limit: int = UPLOAD_LIMIT,
     ) -> None:
         self.catch_up: Callable[[], Future[Any]] = completed
         """Returns a future that is done when every earlier request of the page has been carried out; set by the
         dashboard."""
-        self._access = Access(host, allowed_hosts)
+        self._access = Access(host, allowed_hosts, embedders=embedders)
         self.visitors = Visitors()
         """Visitors of the page."""
         self._tokens: Tokens | None = None
@@ -150,7 +152,7 @@ class LocalServer(viser.ViserServer):
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
-            "process_response": _add_security_headers,
+            "process_response": self._add_security_headers,
             "max_queue": _QUEUED_FRAMES,
             "max_size": MESSAGE_MAX,
             "backlog": BACKLOG,
@@ -187,6 +189,10 @@ class LocalServer(viser.ViserServer):
         if not self.guests.admit(connection, has_right=connection.role is Role.CONTROL):
             return connection.respond(503, f"{_FULL}\n")
         return None
+
+    def _add_security_headers(self, _: ServerConnection, request: Request, response: Response) -> None:
+        for name, value in self._access.security_headers.items():
+            response.headers[name] = value
 
     def _check_token(self, tokens: Tokens, connection: PageConnection, request: Request) -> Response | None:
         """Answer links and requests without a valid token; record the role of all other requests."""
@@ -300,11 +306,6 @@ def _outward_address() -> str:
         probe.connect(("192.0.2.1", 9))  # sends nothing
         return probe.getsockname()[0]
     return socket.gethostname()
-
-
-def _add_security_headers(_: ServerConnection, request: Request, response: Response) -> None:
-    for name, value in SECURITY_HEADERS.items():
-        response.headers[name] = value
 
 
 def notify(

@@ -6,13 +6,14 @@ import statistics
 from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, TypeAlias
 
 METRICS = (
     "mean_speed", "max_speed", "smoothness", "length_m", "mean_clearance", "min_clearance", "flight_time_s",
 )  # fmt: skip
 """Fields of `FlightResult` that are averaged over the flights that arrived, as in the paper's table."""
 _SIGNIFICANCE = 0.05
+Better: TypeAlias = Literal["A", "B", "noise"]
 
 
 class Flown(Protocol):
@@ -84,6 +85,11 @@ def sign_test(wins: int, losses: int) -> float:
     from scipy.stats import binomtest
 
     return float(binomtest(wins, wins + losses).pvalue)
+
+
+def _better(a: int, b: int) -> Better:
+    """Return which of two has more wins, or "noise" if that is not significant."""
+    return "noise" if sign_test(a, b) > _SIGNIFICANCE else "A" if a > b else "B"
 
 
 def mean_interval(values: Sequence[float]) -> tuple[float, float, float] | None:
@@ -164,13 +170,19 @@ class PairedComparison:
         return sign_test(self.faster_a, self.faster_b)
 
     @property
-    def verdict(self) -> Literal["A", "B", "noise"]:
+    def better_by_arrivals(self) -> Better:
+        """The one of which more arrive, at the 5 % level."""
+        return _better(self.only_a, self.only_b)
+
+    @property
+    def better_by_time(self) -> Better:
+        """The one that is faster where both arrive, at the 5 % level."""
+        return _better(self.faster_a, self.faster_b)
+
+    @property
+    def verdict(self) -> Better:
         """The better one at the 5 % level: by arrivals, and if these do not decide, by flight times."""
-        if self.p_arrival <= _SIGNIFICANCE:
-            return "A" if self.only_a > self.only_b else "B"
-        if self.p_time <= _SIGNIFICANCE:
-            return "A" if self.faster_a > self.faster_b else "B"
-        return "noise"
+        return self.better_by_time if self.better_by_arrivals == "noise" else self.better_by_arrivals
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields, p-values and the verdict as plain values for JSON."""

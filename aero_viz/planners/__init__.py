@@ -11,9 +11,10 @@ if TYPE_CHECKING:
     from aero_viz.planners.observation import Observation
     from aero_viz.planners.plan import CandidatePlan, Plan
     from aero_viz.planners.planner import Planner, PlannerError
-    from aero_viz.planners.registry import load, make, name_of, names
+    from aero_viz.planners.registry import PLANNERS, load, make, name_of
 
 __all__ = [
+    "PLANNERS",
     "CandidatePlan",
     "DroneConfig",
     "Observation",
@@ -23,7 +24,6 @@ __all__ = [
     "load",
     "make",
     "name_of",
-    "names",
 ]
 
 __getattr__, __dir__ = lazy_exports(
@@ -32,6 +32,6 @@ __getattr__, __dir__ = lazy_exports(
         "observation": ("DroneConfig", "Observation"),
         "plan": ("CandidatePlan", "Plan"),
         "planner": ("Planner", "PlannerError"),
-        "registry": ("load", "make", "name_of", "names"),
+        "registry": ("PLANNERS", "load", "make", "name_of"),
     },
 )

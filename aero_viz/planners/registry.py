@@ -3,36 +3,36 @@
 from __future__ import annotations
 
 import functools
-import importlib
-import os
-import sys
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from typing import Any
 
-from aero_planner.config import DroneConfig, PlannerConfig, did_you_mean
+from aero_planner.config import DroneConfig, PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.planners.planner import Planner
+from aero_viz.registry import Registry
 
-SHIPPED = {
-    "aero_mppi": "aero_viz.planners.aero_mppi:AeroMppi",
-    "single_mppi": "aero_viz.planners.single_mppi:SingleMppi",
-    "primitives": "aero_viz.planners.primitives:Primitives",
-}
-"""Module and class of each planner that ships."""
-_GROUP = "aero_viz.planners"
 _used: set[str] = set()
-"""Names and places of the planners that were loaded."""
+"""What configurations call the planners that were loaded."""
 
 
-@functools.cache
-def _known() -> dict[str, str]:
-    return {entry.name: entry.value for entry in entry_points(group=_GROUP)} | SHIPPED
+def _accept(name: str, found: Any) -> type[Planner]:
+    if not (isinstance(found, type) and issubclass(found, Planner)):
+        raise UserError(f"{name} is not a planner; derive it from aero_viz.planners.Planner.")
+    return found
 
 
-def names() -> tuple[str, ...]:
-    """Return the names of all planners: shipped, and of entry points in the group `aero_viz.planners`."""
-    return tuple(sorted(_known(), key=lambda name: (name not in SHIPPED, name)))
+PLANNERS: Registry[type[Planner]] = Registry(
+    "planner",
+    "aero_viz.planners",
+    {
+        "aero_mppi": "aero_viz.planners.aero_mppi:AeroMppi",
+        "single_mppi": "aero_viz.planners.single_mppi:SingleMppi",
+        "primitives": "aero_viz.planners.primitives:Primitives",
+    },
+    _accept,
+    others="module:Class, or connect:ADDRESS",
+)
+"""All planners by name."""
 
 
 @functools.cache
@@ -47,24 +47,10 @@ def load(name: str) -> type[Planner]:
     if name.startswith("connect:"):
         from aero_viz.planners.remote import planner_at
 
-        _used.add(name)
-        return planner_at(name.removeprefix("connect:"))
-    place = _known().get(name, name)
-    module, colon, attribute = place.partition(":")
-    if not colon:
-        raise UserError(
-            f"There is no planner {name!r}{did_you_mean(name, names())}; known: {', '.join(names())}, module:Class, or "
-            "connect:ADDRESS."
-        )
-    try:
-        found = _import(module)
-        for part in attribute.split("."):
-            found = getattr(found, part)
-    except Exception as error:  # whatever a brought module raises
-        raise UserError(f"The planner {name} cannot be imported: {type(error).__name__}: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Planner)):
-        raise UserError(f"{place} is not a planner; derive it from aero_viz.planners.Planner.")
-    _used.update((name, place, found.Config.planner))
+        found = planner_at(name.removeprefix("connect:"))
+    else:
+        found = PLANNERS.load(name)
+    _used.update((name, found.Config.planner))
     return found
 
 
@@ -74,7 +60,7 @@ def load_known(name: str) -> type[Planner]:
     Raises:
         UserError: it is neither: a file may not choose which modules are imported.
     """
-    if name not in (*_known(), *_known().values(), *_used):
+    if name not in _used and PLANNERS.name_of(name) not in PLANNERS:
         raise UserError(f"The file is for the planner {name}, which is not registered here; add --planner {name}.")
     return load(name)
 
@@ -94,23 +80,9 @@ def config_type(planner: str, *, of_file: bool = False) -> type[DroneConfig]:
     return (load_known if of_file else load)(planner).Config
 
 
-def _import(module: str) -> object:
-    """Import a module that was named on purpose, also from the current folder."""
-    try:
-        return importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if error.name != module.partition(".")[0]:
-            raise
-        sys.path.append(os.getcwd())
-        try:
-            return importlib.import_module(module)
-        finally:
-            sys.path.remove(os.getcwd())
-
-
 def name_of(config: DroneConfig | type[DroneConfig]) -> str:
     """Return the name of the planner that a configuration is for, or its place "module:Class"."""
-    return next((name for name, place in _known().items() if place == config.planner), config.planner)
+    return PLANNERS.name_of(config.planner)
 
 
 def make(config: DroneConfig, *, device: str = "cpu", seed: int = 0) -> Planner:

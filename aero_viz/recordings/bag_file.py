@@ -88,6 +88,8 @@ class BagFile(ABC):
         """Pose of the sensor in the body's frame, where the file has one."""
         self.is_of_chosen_sensor = False
         """True if only the messages of one sensor are read, which was chosen when the file was opened."""
+        self.notices: list[str] = []
+        """Assumptions about the file, one sentence each."""
         self.damaged = 0
         """Number of records and chunks that could not be read."""
 

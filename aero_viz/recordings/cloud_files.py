@@ -60,8 +60,6 @@ class CloudSequence(BagFile):
         super().__init__(path)
         self._size = size
         self._channel = self.channels[0] = Channel(topic, POINT_CLOUD2, "cdr")
-        self.notices: list[str] = []
-        """Assumptions, one sentence each."""
 
     @abstractmethod
     def _index(self) -> Iterator[tuple[int, int]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from aero_viz.errors import UserError
-from aero_viz.recordings.choices import AUTOMATIC, Choices
+from aero_viz.recordings.choices import Choices
 from aero_viz.recordings.cloud_files import CloudFiles, CloudSequence, PacketClouds
 from aero_viz.recordings.cloud_times import FIRST_STAMP
 from aero_viz.recordings.imu_messages import ImuRows
@@ -39,8 +39,8 @@ _ULOG = b"ULog"
 _OSF = b"OSF"
 
 
-def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> tuple[str, CloudSequence] | None:
-    """Return the format of a file that is not a bag, and its clouds; None if the format is unknown.
+def open_capture(path: Path, start: bytes, choices: Choices) -> tuple[str, CloudSequence] | None:
+    """Return the format of a capture of packets, and its clouds; None if the file is none.
 
     Args:
         path: the file.
@@ -50,7 +50,6 @@ def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> t
     Raises:
         UserError: the file is damaged, or of a format for which the message names the next step.
     """
-    suffix = path.suffix.lower()
     if start.startswith(LVX_MAGIC):
         sensor = find_sensor(path, choices.sensor)
         sweeps = livox_sweeps(lvx2_packets(path, sensor))
@@ -72,6 +71,21 @@ def open_other_file(path: Path, start: bytes, choices: Choices = AUTOMATIC) -> t
         )
     if start[8:11] == _OSF:
         return "osf", _ouster_clouds(path, choices, is_osf=True)
+    return None
+
+
+def open_cloud(path: Path, start: bytes, choices: Choices) -> tuple[str, CloudSequence] | None:
+    """Return the format of a file that holds one cloud, and the cloud; None if the file is none.
+
+    Args:
+        path: the file.
+        start: its first bytes.
+        choices: what the user has settled.
+
+    Raises:
+        UserError: the file is damaged, or holds poses.
+    """
+    suffix = path.suffix.lower()
     found = next((suffix for magic, suffix in _MAGICS.items() if start.startswith(magic)), None)
     is_text = found is None and suffix in TEXT_SUFFIXES
     if is_text:

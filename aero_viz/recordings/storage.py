@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 
@@ -21,6 +21,7 @@ from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_fi
 from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
 from aero_viz.recordings.ros1_file import ROS1_MAGIC, Ros1File
 from aero_viz.recordings.sqlite_file import SQLITE_MAGIC, SqliteFile
+from aero_viz.registry import Registry
 from aero_viz.scenes.decoder_checks import refuse_pointer
 
 if TYPE_CHECKING:
@@ -32,11 +33,37 @@ SUPPORTED = (
     "Livox Mid-360, a Velodyne or an Ouster"
 )
 
-_READERS: dict[bytes, tuple[str, Callable[[Path], BagFile]]] = {
-    MCAP_MAGIC: ("mcap", McapFile),
-    ROS1_MAGIC: ("rosbag1", Ros1File),
-    SQLITE_MAGIC: ("rosbag2-sqlite3", SqliteFile),
-}
+
+Opener = Callable[[Path, bytes, Choices], tuple[str, BagFile] | None]
+"""Opens a file, given its first bytes and what the user has settled; returns the name of its format, such as "mcap",
+and its reader, or None if the file has another format."""
+
+
+def _bag(name: str, magic: bytes, reader: Callable[[Path], BagFile]) -> Opener:
+    return lambda path, start, choices: (name, reader(path)) if start.startswith(magic) else None
+
+
+def _accept(name: str, found: Any) -> Opener:
+    if not callable(found):
+        raise UserError(f"{name} is not a format; give a function of a path, the first bytes and the choices.")
+    return cast(Opener, found)
+
+
+FORMATS: Registry[Opener] = Registry(
+    "format",
+    "aero_viz.formats",
+    {
+        "mcap": _bag("mcap", MCAP_MAGIC, McapFile),
+        "rosbag1": _bag("rosbag1", ROS1_MAGIC, Ros1File),
+        "rosbag2-sqlite3": _bag("rosbag2-sqlite3", SQLITE_MAGIC, SqliteFile),
+        "captures": "aero_viz.recordings.other_formats:open_capture",
+        "clouds": "aero_viz.recordings.other_formats:open_cloud",
+    },
+    _accept,
+)
+"""All formats of files by name. They are tried in this order."""
+_GUESSED = "clouds"
+"""The format that is tried last, because it also goes by the names of files."""
 _UNREAD = {
     b"PK\3\4": (0, "unpack this archive, and open the file or folder in it"),
     b"ustar": (257, "unpack this archive with `tar -xf`, and open the file or folder in it"),
@@ -111,11 +138,6 @@ class Storage:
         name = packed or path
         if not start:
             raise UserError(f"{name} is empty: record or copy it again.")
-        for magic, (format_name, reader) in _READERS.items():
-            if start.startswith(magic):
-                bag = reader(path)
-                bag.path = name
-                return format_name, bag
         if start.startswith(COMPRESSED_MAGICS) and packed is None:
             content, problem = decompress_file(path, self._stack)
             try:
@@ -128,12 +150,11 @@ class Storage:
         if start.startswith(b"#ROSBAG"):
             version = start.split(b"\n")[0].decode(errors="replace")
             raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`.")
-        from aero_viz.recordings.other_formats import open_other_file
-
-        if found := open_other_file(path, start, self.choices):
-            found[1].path = name
-            self.problems += found[1].notices
-            return found
+        for format_name in sorted(FORMATS, key=_GUESSED.__eq__):
+            if found := FORMATS[format_name](path, start, self.choices):
+                found[1].path = name
+                self.problems += found[1].notices
+                return found
         for magic, (offset, advice) in _UNREAD.items():
             if start[offset:].startswith(magic):
                 raise UserError(f"{name} is not a recording: {advice}.")

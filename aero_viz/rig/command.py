@@ -75,6 +75,7 @@ def _fly(options: argparse.Namespace) -> int:
     from aero_viz.catalog import load_world
     from aero_viz.errors import UserError
     from aero_viz.rig import fly_rig, parse_fault
+    from aero_viz.scenes import SCENES
 
     faults = [parse_fault(text) for text in options.fault]
     if options.count < 1 or not (options.duration > 0.0 and (options.loss_time is None or options.loss_time > 0.0)):
@@ -88,7 +89,7 @@ def _fly(options: argparse.Namespace) -> int:
         speed = options.speed
     for seed in range(options.seed, options.seed + options.count):
         result = fly_rig(
-            load_world(options.world, seed=seed),
+            load_world(SCENES.admit(options.world), seed=seed),
             seed=seed,
             speed=speed,
             faults=faults,

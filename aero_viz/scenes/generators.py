@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
+from aero_viz.registry import Registry
 from aero_viz.scenes import built_fields, obstacle_fields, rooms
 from aero_viz.scenes.field import (
     CLEAR_RADIUS,
@@ -161,8 +163,22 @@ class SceneKind:
     """True if the number of obstacles can be chosen."""
 
 
+def _accept(name: str, found: Any) -> SceneKind:
+    """Return a `SceneKind`, or that of a function, which is described by the first line of its docstring."""
+    if isinstance(found, SceneKind):
+        return found
+    try:
+        defaults = {name: parameter.default for name, parameter in inspect.signature(found).parameters.items()}
+    except (TypeError, ValueError):
+        defaults = {}
+    if not {"seed", "ground"} <= set(defaults):
+        raise UserError(f"{name} is not a scene; give a function of seed, ground and, with a default, count.")
+    description = (inspect.getdoc(found) or name).partition("\n")[0]
+    return SceneKind(description, found, counted=isinstance(defaults.get("count"), int))
+
+
 _room = partial(SceneKind, clear_radius=rooms.CLEAR_RADIUS)
-SCENES: dict[str, SceneKind] = {
+_SHIPPED: dict[str, SceneKind | str] = {
     "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m.", forest),
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide. Extremely dense.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees. Dense.", inclines),
@@ -192,6 +208,10 @@ SCENES: dict[str, SceneKind] = {
     ),
     "random_clutter": _room("A room cluttered with 9 boxes, poles and balls.", rooms.random_clutter),
 }
+SCENES: Registry[SceneKind] = Registry(
+    "scene", "aero_viz.scenes", _SHIPPED, _accept, others="the path of a world's file"
+)
+"""All scenes by name."""
 
 
 def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = True) -> World:
@@ -206,18 +226,14 @@ def scene(name: str, *, seed: int = 0, count: int | None = None, ground: bool = 
     Raises:
         UserError: there is no such scene, the seed is negative, or the count is out of range or cannot be chosen.
     """
-    if name not in SCENES:
-        hint = did_you_mean(name, SCENES)
-        raise UserError(
-            f"Unknown scene {name!r}{hint}; give one of {', '.join(SCENES)}, or the path of a world's file."
-        )
+    kind = SCENES.known(name)
     if seed < 0:
         raise UserError(f"The seed of the scene {name!r} is {seed}; it must be 0 or more.")
     if count is not None and count < 0:
         raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be 0 or more.")
     if count is not None and count > COUNT_MAX:
         raise UserError(f"The number of obstacles of the scene {name!r} is {count}; it must be at most {COUNT_MAX}.")
-    if count is not None and not SCENES[name].counted:
+    if count is not None and not kind.counted:
         raise UserError(f"The number of obstacles of the scene {name!r} is fixed; leave the count out.")
     options = {} if count is None else {"count": count}
-    return SCENES[name].generate(seed=seed, ground=ground, **options)
+    return kind.generate(seed=seed, ground=ground, **options)

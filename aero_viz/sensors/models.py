@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.config.field_of_view import View, mounted_view
-from aero_planner.parameters import ParameterSection, choice, did_you_mean, live, structural
+from aero_planner.parameters import ParameterSection, choice, live, structural
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
 from aero_viz.errors import UserError
+from aero_viz.registry import Registry
 
 
 @dataclass(frozen=True)
@@ -137,9 +137,30 @@ _MODELS = (
         sweep_rate=30.0, range_min=0.3, range_max=6.0, pattern="pinhole", rings=49,
     ),
 )  # fmt: skip
-LIDARS = {model.name: model for model in _MODELS}
+
+
+def _accept(name: str, found: Any) -> LidarModel:
+    if not isinstance(found, LidarModel):
+        raise UserError(f"{name} is not a LiDAR; give a LidarModel.")
+    return replace(found, name=name)
+
+
+LIDARS: Registry[LidarModel] = Registry(
+    "LiDAR",
+    "aero_viz.sensors",
+    {model.name: model for model in _MODELS},
+    _accept,
+    others="module:attribute; a + joins several",
+)
 """By name: the Livox Mid-360, a sensor of its rate without blind zones, a spinning sensor with 64 rings, and a depth
 camera RealSense D435, of whose image every tenth row and column is kept."""
+
+
+def admit_lidars(text: str) -> str:
+    """Import what a user names by its place, see `lidar_model` and `Registry.admit`; return the text."""
+    for part in text.split("+"):
+        LIDARS.admit(part.partition("@")[0])
+    return text
 
 
 def lidar_model(name: str) -> LidarModel:
@@ -151,20 +172,17 @@ def lidar_model(name: str) -> LidarModel:
         UserError: there is no such model; the message lists all.
     """
     first, *others = (_turned_model(part) for part in name.split("+"))
-    return dataclasses.replace(first, name=name, others=tuple(others)) if others else first
+    return replace(first, name=name, others=tuple(others)) if others else first
 
 
 def _turned_model(text: str) -> LidarModel:
     """Return the model that "NAME" or "NAME@YAW" describes."""
     name, at, turn = text.partition("@")
-    if name not in LIDARS:
-        raise UserError(
-            f"Unknown LiDAR {name!r}{did_you_mean(name, LIDARS)}; LiDARs: {', '.join(LIDARS)}; a + joins several."
-        )
+    model = LIDARS.known(name)
     if not at:
-        return LIDARS[name]
+        return model
     try:
-        roll, pitch, yaw = LIDARS[name].mount_angles
-        return dataclasses.replace(LIDARS[name], name=text, mount_angles=(roll, pitch, yaw + float(turn)))
+        roll, pitch, yaw = model.mount_angles
+        return replace(model, name=text, mount_angles=(roll, pitch, yaw + float(turn)))
     except ValueError:
         raise UserError(f"{text!r} turns {name} by {turn!r}; give degrees to the left, such as {name}@180.") from None

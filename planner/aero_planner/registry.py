@@ -2,7 +2,8 @@
 
 Those that ship are listed here. Another distribution adds its own by entry points in the groups `aero_planner.stages`,
 `aero_planner.cost_terms` and `aero_planner.models`, a script by `add`. Everything is loaded when it is first needed:
-the parameters when the configuration is imported, kernels when a planner is made.
+the parameters when the configuration is imported, kernels when a planner is made. What an entry point brings is
+imported with the configuration; a part that cannot be imported is named and left out.
 """
 
 from __future__ import annotations
@@ -11,11 +12,22 @@ import functools
 import importlib
 import sys
 from importlib import metadata
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from aero_planner.parameters import ParameterSection
+from aero_planner.parameters import ParameterSection, log_warning
 
 Kind = Literal["stages", "cost_terms", "models"]
+
+
+class PlugIn(NamedTuple):
+    """A part that an installed distribution brings by an entry point."""
+
+    name: str
+    place: str
+    """"module:attribute", or "module"."""
+    distribution: str
+    """Name and version."""
+
 
 STAGES = {
     "unseen_space": "aero_planner.stages.unseen_space",
@@ -56,10 +68,49 @@ def add(kind: Kind, name: str, part: Any) -> None:
 
 @functools.cache
 def names(kind: Kind) -> tuple[str, ...]:
-    """Return the names of all stages, cost terms or models: shipped, added, and of entry points."""
-    found = {entry.name: entry.value for entry in _entry_points().select(group=f"aero_planner.{kind}")}
-    _added[kind] = found | _added[kind]
-    return (*_SHIPPED[kind], *(name for name in _added[kind] if name not in _SHIPPED[kind]))
+    """Return the names of all stages, cost terms or models: shipped, of entry points, and added."""
+    brought = (plug_in.name for plug_in, problem in checked(kind) if not problem)
+    return (*_SHIPPED[kind], *brought, *_added[kind])
+
+
+def label(kind: Kind) -> str:
+    """Return what one part of a kind is called, such as "cost term"."""
+    return kind.replace("_", " ").removesuffix("s")
+
+
+@functools.cache
+def checked(kind: Kind) -> tuple[tuple[PlugIn, str], ...]:
+    """Return what entry points bring, each with the reason why it is left out; that is empty for what is used."""
+    taken, found = {*_SHIPPED[kind], *_added[kind]}, []
+    for plug_in in plug_ins(f"aero_planner.{kind}"):
+        problem = "there is one of that name already" if plug_in.name in taken else _problem(kind, plug_in.place)
+        if problem:
+            log_warning("The %s %s of %s is left out: %s.", label(kind), plug_in.name, plug_in.distribution, problem)
+        else:
+            taken.add(plug_in.name)
+        found.append((plug_in, problem))
+    return tuple(found)
+
+
+def _problem(kind: Kind, place: str) -> str:
+    """Return why a part cannot be imported."""
+    try:
+        part = find_attribute(place)
+        if kind == "stages":
+            importlib.import_module(f"{part.__name__}.parameters")
+    except (Exception, SystemExit) as error:  # whatever a brought module raises
+        return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
+    return ""
+
+
+def plug_ins(group: str) -> list[PlugIn]:
+    """Return what entry points of a group bring, without importing it."""
+    found = []
+    for entry in _entry_points().select(group=group):
+        owner = getattr(entry, "dist", None)
+        distribution = "an unnamed distribution" if owner is None else f"{owner.metadata['Name']} {owner.version}"
+        found.append(PlugIn(entry.name, entry.value.partition("[")[0].strip(), distribution))
+    return sorted(found)
 
 
 @functools.cache
@@ -68,15 +119,21 @@ def _entry_points() -> Any:
     return metadata.entry_points()
 
 
+def find_attribute(place: str) -> Any:
+    """Import and return what lies at a place, "module:attribute" or "module"."""
+    module, _, attribute = place.partition(":")
+    found = importlib.import_module(module)
+    for part in filter(None, attribute.split(".")):
+        found = getattr(found, part)
+    return found
+
+
 @functools.cache
 def load(kind: Kind, name: str) -> Any:
     """Return a cost term, a vehicle model, or the package of a stage."""
-    part = (_SHIPPED[kind] | _added[kind])[name]
-    if not isinstance(part, str):
-        return part
-    module, _, attribute = part.partition(":")
-    loaded = importlib.import_module(module)
-    return getattr(loaded, attribute) if attribute else loaded
+    places = {plug_in.name: plug_in.place for plug_in, problem in checked(kind) if not problem}
+    part = (places | _SHIPPED[kind] | _added[kind])[name]
+    return find_attribute(part) if isinstance(part, str) else part
 
 
 def load_stage(name: str) -> Any:
@@ -92,6 +149,6 @@ def added_sections() -> dict[str, type[ParameterSection]]:
         part.parameters
         for kind in ("cost_terms", "models")
         for name in names(kind)
-        if name in _added[kind] and (part := load(kind, name)).parameters is not None
+        if name not in _SHIPPED[kind] and (part := load(kind, name)).parameters is not None
     ]
     return {section.section: section for section in (*stages, *brought)}

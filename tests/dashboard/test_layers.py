@@ -180,7 +180,7 @@ def test_cost_scale_runs_from_the_worst_to_the_best(frame, by):
     assert (np.diff(scale[np.argsort(cost)]) <= 0.0).all()
 
 
-@pytest.mark.parametrize("kind", LAYERS, ids=[kind.name for kind in LAYERS])
+@pytest.mark.parametrize("kind", LAYERS.values(), ids=list(LAYERS))
 def test_a_layer_follows_a_change_of_structure(server, kind):
     layer = kind(server)
     session = Session(FlightSource(scene("forest", seed=0)))

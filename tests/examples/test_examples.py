@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-SERVED = "own_layer"
-"""The example that serves its page until Enter is pressed."""
+SERVED = ("own_layer", "own_panel")
+"""The examples that serve their page until Enter is pressed."""
 EXAMPLES = {path.stem: path for path in sorted((ROOT / "examples").glob("*.py"))}
 OUTPUT = {
     "plan_once": r"OK: 16 candidates, chosen: instance \d+, .*closest to the pole: 0\.[3-9]\d m",
@@ -19,7 +19,10 @@ OUTPUT = {
     "replay_recording": r"replay_recording\.mcap: mcap, .* 0\.00 s  OK +plans \d\.\d m ahead",
     "own_planner": r"sidestep: arrived after \d+\.\d s, 0\.[3-9]\d m",
     "own_source": r"crossing ball: arrived after ",
-    SERVED: r"http://127\.0\.0\.1:\d+",
+    **dict.fromkeys(SERVED, r"http://127\.0\.0\.1:\d+"),
+    "own_scene": r"slalom-2-1: arrived after \d+\.\d s, (1[89]|2[0-5])\.\d m",
+    "own_sensor": r"mid360: arrived, .* seen after 0\.1 s.*tilted32: arrived, at least 0\.[3-9]\d m",
+    "own_format": r"centisweeps: 20 sweeps, 20 poses, 16 candidates at the wall",
     "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at a cost",
     "own_model": r"arrived after [34]\.\d m, at least 0\.[3-9]\d m from all pillars",
     "own_vehicle": r"default: \w+ after .*matched: arrived after ",
@@ -35,7 +38,7 @@ def test_no_two_examples_write_the_same_file():
     assert len(files) > 1 and sorted(set(files)) == sorted(files)
 
 
-@pytest.mark.parametrize("name", [name for name in EXAMPLES if name != SERVED])
+@pytest.mark.parametrize("name", [name for name in EXAMPLES if name not in SERVED])
 def test_an_example_prints_its_results_only(name: str, tmp_path: Path):
     command = [sys.executable, str(EXAMPLES[name])]
     result = subprocess.run(command, input="\n", capture_output=True, text=True, cwd=tmp_path, timeout=300)
@@ -57,8 +60,9 @@ def test_an_example_is_short_and_explains_itself(name: str):
     assert text.startswith('"""')
 
 
-def test_the_page_of_an_example_is_served_until_enter_and_its_address_is_printed_only(tmp_path: Path):
-    command = [sys.executable, "-u", str(EXAMPLES[SERVED])]
+@pytest.mark.parametrize("name", SERVED)
+def test_the_page_of_an_example_is_served_until_enter_and_its_address_is_printed_only(name: str, tmp_path: Path):
+    command = [sys.executable, "-u", str(EXAMPLES[name])]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
     ) as process:
@@ -68,7 +72,7 @@ def test_the_page_of_an_example_is_served_until_enter_and_its_address_is_printed
             assert page.status == 200
         printed, error = process.communicate("\n", timeout=60)
     assert (process.returncode, error) == (0, "")
-    assert re.search(OUTPUT[SERVED], address + printed, flags=re.DOTALL), address + printed
+    assert re.search(OUTPUT[name], address + printed, flags=re.DOTALL), address + printed
 
 
 def test_the_readme_lists_every_example():

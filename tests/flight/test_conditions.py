@@ -36,7 +36,7 @@ def test_conditions_replace_what_they_name():
         (Conditions(values={"noise.position": -1.0}), "noise.position is -1.0"),
         (Conditions(values={"drone.gust_speed": 2.0, "drone.drag": 0.0}), "set drone.drag too"),
         (Conditions(values={"drone.mass": 2.0}), "drone.mass is not a condition"),
-        (Conditions(lidar="mid361"), "Unknown LiDAR"),
+        (Conditions(lidar="mid361"), "There is no LiDAR"),
     ],
 )
 def test_wrong_conditions_are_refused_with_a_reason(conditions, words):

@@ -13,7 +13,7 @@ from straight import Straight, StraightConfig
 from aero_planner import PlannerConfig
 from aero_planner.config.file import config_from_name, format_config
 from aero_viz.errors import UserError
-from aero_viz.planners import load, make, name_of, names
+from aero_viz.planners import PLANNERS, load, make, name_of
 from aero_viz.planners.registry import config_of_entry, load_known, planner_entry
 from aero_viz.scenes import World
 
@@ -28,8 +28,8 @@ def empty_world(tmp_path: Path) -> str:
 
 
 def test_the_planners_that_ship_are_found_by_name():
-    assert names()[:3] == ("aero_mppi", "primitives", "single_mppi")
-    for name in names()[:3]:
+    assert PLANNERS.names()[:3] == ("aero_mppi", "single_mppi", "primitives")
+    for name in PLANNERS.names()[:3]:
         assert load(name).Config().planner == name and name_of(load(name).Config) == name
     assert load(PlannerConfig().planner).Config is PlannerConfig
 

@@ -88,7 +88,7 @@ def test_a_sensor_that_is_turned_looks_back():
 
 @pytest.mark.parametrize(
     ("name", "problem"),
-    [("mid36+d435", "did you mean 'mid360'"), ("d435+", "Unknown LiDAR ''"), ("d435@left", "turns d435 by 'left'")],
+    [("mid36+d435", "did you mean 'mid360'"), ("d435+", "no LiDAR ''"), ("d435@left", "turns d435 by 'left'")],
 )
 def test_a_wrong_name_is_a_users_error(name: str, problem: str):
     with pytest.raises(UserError, match=problem):

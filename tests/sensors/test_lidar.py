@@ -245,7 +245,7 @@ def test_invalid_models_are_refused(changes):
 
 def test_models_by_name():
     assert all(lidar_model(name).name == name for name in LIDARS)
-    with pytest.raises(UserError, match=r"did you mean 'mid360'\?\); LiDARs"):
+    with pytest.raises(UserError, match=r"did you mean 'mid360'\?\); give one of mid360, "):
         lidar_model("mid36")
 
 

@@ -1,8 +1,9 @@
-"""Layers of the scene, in the order of the page. A new layer needs its module and an entry in LAYERS."""
+"""Layers of the scene, in the order of the page. A new layer needs its module and an entry in the list."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from aero_viz.dashboard.layers.alternative import AlternativeLayer
 from aero_viz.dashboard.layers.anchors import AnchorLayer, GuideLayer
@@ -28,6 +29,7 @@ from aero_viz.dashboard.layers.scenery import GroundLayer, ObstacleLayer, Record
 from aero_viz.dashboard.layers.selection import SelectionLayer
 from aero_viz.dashboard.layers.sight import OccludedSpaceLayer
 from aero_viz.errors import UserError
+from aero_viz.registry import Registry
 
 __all__ = [
     "LAYERS",
@@ -43,7 +45,7 @@ __all__ = [
     "legend_entries",
 ]
 
-LAYERS: tuple[type[Layer], ...] = (
+_SHIPPED: tuple[type[Layer], ...] = (
     RolloutLayer,
     SelectionLayer,
     SampleLayer,
@@ -65,6 +67,19 @@ LAYERS: tuple[type[Layer], ...] = (
     ObstacleLayer,
     GroundLayer,
 )
+
+
+def _accept(name: str, found: Any) -> type[Layer]:
+    if not (isinstance(found, type) and issubclass(found, Layer)) or getattr(found, "name", None) != name:
+        raise UserError(
+            f"{name} is not a layer of that name; give a class derived from aero_viz.dashboard.layers.Layer, whose "
+            f"name is {name!r}."
+        )
+    return found
+
+
+LAYERS: Registry[type[Layer]] = Registry("layer", "aero_viz.layers", {kind.name: kind for kind in _SHIPPED}, _accept)
+"""All layers by name, in the order of the page."""
 _RENAMED = {"hidden_space": "occluded_space"}
 """Current name of each renamed layer, whose old name is accepted for one release."""
 

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import viser
 
@@ -137,6 +137,11 @@ class Panel:
 
     Callbacks are coroutines, since viser runs coroutines in the order of the clicks.
     """
+
+    title: ClassVar[str] = ""
+    """Name of the tab of a panel that has a tab to itself."""
+    icon: ClassVar[viser.IconName] = viser.Icon.PUZZLE
+    """Icon of that tab."""
 
     def __init__(self, page: Page) -> None:
         self.page = page

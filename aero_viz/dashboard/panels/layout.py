@@ -1,8 +1,9 @@
-"""Layout of the page."""
+"""Layout of the page: its tabs, in their order. A new panel needs its module and a place in one of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import viser
@@ -33,28 +34,156 @@ from aero_viz.dashboard.panels.study import StudyPanel
 from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
+from aero_viz.errors import UserError
+from aero_viz.registry import Registry
+from aero_viz.session.base import SessionControls
 from aero_viz.session.source import Conditions, Opener
 
 if TYPE_CHECKING:
     from aero_viz.evaluation.tune import StoredStudy
 
-_TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune", "Study", "Parameters")
-"""Names of the tabs that a page may have."""
+
+@dataclass(frozen=True)
+class Offer:
+    """What the panels of a page offer, see the arguments of `Dashboard`."""
+
+    open_source: Opener | None
+    choices: Sequence[tuple[str, str]]
+    seed: int
+    folders: Folders
+    opened: str = ""
+    conditions: Conditions | None = None
+    files: Files | None = None
+    study: StoredStudy | None = None
 
 
-def build(
-    page: Page,
-    *,
-    open_source: Opener | None,
-    choices: Sequence[tuple[str, str]],
-    seed: int,
-    folders: Folders,
-    opened: str = "",
-    conditions: Conditions | None = None,
-    files: Files | None = None,
-    study: StoredStudy | None = None,
-) -> tuple[CameraPanel, list[Panel]]:
-    """Create all panels: the controls docked on the right, the status floating at the lower left.
+@dataclass(frozen=True)
+class Desk:
+    """What a tab is built from."""
+
+    page: Page
+    offer: Offer
+    camera: CameraPanel
+    open_tabs: OpenTabs
+    actions: dict[str, Action]
+    """What keys do, by name; a tab adds its own."""
+
+    @property
+    def controls(self) -> SessionControls:
+        """Controls of the session, for tabs of a page that has them."""
+        controls = self.page.session.controls
+        assert controls is not None
+        return controls
+
+
+@dataclass(frozen=True)
+class Tab:
+    """One tab of the page."""
+
+    title: str
+    icon: viser.IconName
+    build: Callable[[Desk, viser.GuiTabHandle], list[Panel]]
+    """Creates the panels in the open tab."""
+    is_there: Callable[[Desk], bool] = lambda desk: True
+    """Returns whether a page has the tab."""
+
+
+def _is_controlled(desk: Desk) -> bool:
+    return desk.page.session.controls is not None
+
+
+def _fly(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    page, offer, controls = desk.page, desk.offer, desk.page.session.controls
+    gui, panels = page.server.gui, []
+    if controls is None:
+        return []
+    if offer.open_source is not None:
+        with gui.add_folder("Source"):
+            options: dict[str, Any] = {"seed": offer.seed, "opened": offer.opened, "conditions": offer.conditions}
+            sources = SourcePanel(page, controls, offer.open_source, offer.choices, offer.folders, **options)
+            panels.append(sources)
+        if offer.files is not None:
+            with gui.add_folder("Share", expand_by_default=False):
+                copies = PageCopies(page, desk.camera)
+                panels += [copies, SharePanel(page, controls, sources, offer.files, copies)]
+    with gui.add_folder("Goal"):
+        panels.append(GoalPanel(page, controls))
+    return panels
+
+
+def _world(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    page, controls = desk.page, desk.controls
+    obstacles = ObstaclePanel(page, controls, desk.open_tabs)
+    desk.actions.update(throw=lambda _: obstacles.throw(), remove=lambda _: obstacles.remove())
+    with page.server.gui.add_folder("Wind, faults, drone") as folder:
+        return [obstacles, DisturbancePanel(page, controls, folder)]
+
+
+def _why(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    return [PostMortemPanel(desk.page), WhyPanel(desk.page, desk.open_tabs)]
+
+
+def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
+    panel = LayerPanel(desk.page, tab)
+    desk.actions["layer"] = panel.toggle
+    return [panel]
+
+
+def _tune(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    page, controls = desk.page, desk.controls
+    baseline = Baseline.from_config(page.session.config)
+    return [
+        HealthPanel(page, controls),
+        ComparePanel(page, controls),
+        ConfigurationPanel(page, controls, baseline),
+        ParameterPanel(page, controls, baseline),
+    ]
+
+
+def _study(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    assert desk.offer.study is not None
+    return [StudyPanel(desk.page, desk.controls, desk.offer.study)]
+
+
+def _accept(name: str, found: Any) -> Tab:
+    """Return a `Tab`, or that of a panel with a title of its own."""
+    if isinstance(found, Tab):
+        return found
+    if not (isinstance(found, type) and issubclass(found, Panel) and found.title):
+        raise UserError(
+            f"{name} is not a panel; give a class derived from aero_viz.dashboard.panels.Panel with a title."
+        )
+    return Tab(found.title, found.icon, lambda desk, _: [found(desk.page)])
+
+
+PANELS: Registry[Tab] = Registry(
+    "panel",
+    "aero_viz.panels",
+    {
+        "fly": Tab("Fly", viser.Icon.DRONE, _fly),
+        "world": Tab("World", viser.Icon.TREES, _world, _is_controlled),
+        "curves": Tab("Curves", viser.Icon.CHART_LINE, lambda desk, _: [ChartPanel(desk.page)]),
+        # The frames of a drone hold too little to explain them.
+        "why": Tab("Why", viser.Icon.QUESTION_MARK, _why, _is_controlled),
+        "layers": Tab("Layers", viser.Icon.STACK_2, _layers),
+        "tune": Tab("Tune", viser.Icon.ADJUSTMENTS, _tune, _is_controlled),
+        "study": Tab(
+            "Study", viser.Icon.CHART_DOTS, _study, lambda desk: _is_controlled(desk) and desk.offer.study is not None
+        ),
+        "parameters": Tab(
+            "Parameters",
+            viser.Icon.ADJUSTMENTS,
+            lambda desk, _: [ParameterTablePanel(desk.page)],
+            lambda desk: not _is_controlled(desk),
+        ),
+    },
+    _accept,
+)
+"""All tabs by name, in the order of the page."""
+
+
+def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
+    """Create all panels: the tabs docked on the right, the status floating at the lower left.
 
     Without `session.controls`, there are no panels that change the session.
     """
@@ -71,49 +200,14 @@ def build(
     }
     if controls is not None:
         actions |= {"undo": lambda _: controls.undo(), "redo": lambda _: controls.redo()}
-    panels.append(open_tabs := OpenTabs(page, _TABS))
+    shown = list(PANELS.values())
+    panels.append(open_tabs := OpenTabs(page, [tab.title for tab in shown]))
+    desk = Desk(page, offer, camera, open_tabs, actions)
     tabs = gui.add_tab_group()
-    with tabs.add_tab("Fly", viser.Icon.DRONE):
-        if controls is not None and open_source is not None:
-            with gui.add_folder("Source"):
-                options: dict[str, Any] = {"seed": seed, "opened": opened, "conditions": conditions}
-                sources = SourcePanel(page, controls, open_source, choices, folders, **options)
-                panels.append(sources)
-            if files is not None:
-                with gui.add_folder("Share", expand_by_default=False):
-                    panels += [copies := PageCopies(page, camera), SharePanel(page, controls, sources, files, copies)]
-        if controls is not None:
-            with gui.add_folder("Goal"):
-                panels.append(GoalPanel(page, controls))
-    if controls is not None:
-        with tabs.add_tab("World", viser.Icon.TREES):
-            panels.append(obstacles := ObstaclePanel(page, controls, open_tabs))
-            actions |= {"throw": lambda _: obstacles.throw(), "remove": lambda _: obstacles.remove()}
-            with gui.add_folder("Wind, faults, drone") as folder:
-                panels.append(DisturbancePanel(page, controls, folder))
-    with tabs.add_tab("Curves", viser.Icon.CHART_LINE):
-        panels.append(ChartPanel(page))
-    if controls is not None:  # the frames of a drone hold too little to explain them
-        with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
-            panels += [PostMortemPanel(page), WhyPanel(page, open_tabs)]
-    with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
-        panels.append(layers := LayerPanel(page, tab))
-        actions["layer"] = layers.toggle
-    if controls is not None:
-        with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
-            baseline = Baseline.from_config(page.session.config)
-            panels += [
-                HealthPanel(page, controls),
-                ComparePanel(page, controls),
-                ConfigurationPanel(page, controls, baseline),
-            ]
-            panels.append(ParameterPanel(page, controls, baseline))
-        if study is not None:
-            with tabs.add_tab("Study", viser.Icon.CHART_DOTS):
-                panels.append(StudyPanel(page, controls, study))
-    else:
-        with tabs.add_tab("Parameters", viser.Icon.ADJUSTMENTS):
-            panels.append(ParameterTablePanel(page))
+    for tab in shown:
+        if tab.is_there(desk):
+            with tabs.add_tab(tab.title, tab.icon) as handle:
+                panels += tab.build(desk, handle)
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
         panels.append(state := StatusPanel(page))

@@ -53,7 +53,7 @@ class SceneRecording:
 
     def __init__(self, layers: Sequence[str] | None = None) -> None:
         self._server = LocalServer(port=0)
-        kinds = [_SharedCloudLayer if kind is CloudLayer else kind for kind in LAYERS]
+        kinds = [_SharedCloudLayer if kind is CloudLayer else kind for kind in LAYERS.values()]
         self._layers: dict[str, Layer] = {kind.name: kind(self._server) for kind in kinds}
         try:
             self._chosen = None if layers is None else known_names(layers, self._layers)
