@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import viser
 
@@ -34,9 +34,7 @@ from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.session.source import Conditions, Opener
-
-if TYPE_CHECKING:
-    from aero_viz.evaluation.tune import StoredStudy
+from aero_viz.study_view import Study
 
 _TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune", "Study", "Parameters")
 """Names of the tabs that a page may have."""
@@ -52,7 +50,7 @@ def build(
     opened: str = "",
     conditions: Conditions | None = None,
     files: Files | None = None,
-    study: StoredStudy | None = None,
+    study: Study | None = None,
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
