@@ -14,7 +14,8 @@ from aero_viz.reader_process import Reader, read_here
 from aero_viz.session.source import Conditions, Source
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
     from aero_viz.scenes import World
 
@@ -101,20 +102,35 @@ def load_world(
     if is_map(spec):
         return load_map(spec, voxel=voxel if has_voxels(spec) else None, start=start, goal=goal, across=across)
     if is_file and is_bag(spec):
-        from aero_viz.recordings.map_cloud import read_map_cloud
-
-        try:
-            points = read_map_cloud(spec)
-        except UserError as error:
-            raise UserError(
-                f"{spec} is not a world: {error} If it is a recording, play it with: aero-viz play {spec}"
-            ) from error
-        return load_map(spec, voxel=voxel, start=start, goal=goal, across=across, points=points)
+        return load_map(spec, voxel=voxel, start=start, goal=goal, across=across, points=read_cloud(spec))
     world = _load_file(spec) if is_file else scene(spec, seed=seed, count=count)
     try:
         return replace(world, **{name: p for name, p in (("start", start), ("goal", goal)) if p is not None})
     except ValueError as error:
         raise UserError(f"{spec}: {error}") from error
+
+
+def read_cloud(spec: str) -> NDArray[np.float64]:
+    """Return the points of a point map or of a bag of one cloud [n, 3] [m].
+
+    Raises:
+        UserError: there is no such file, it is malformed, or it holds no points.
+    """
+    from aero_viz.recordings.map_cloud import read_map_cloud
+    from aero_viz.scenes.map_files import read_map
+
+    refuse_irregular(spec)
+    if is_bag(spec):
+        try:
+            return read_map_cloud(spec)
+        except UserError as error:
+            raise UserError(
+                f"{spec} is not a world: {error} If it is a recording, play it with: aero-viz play {spec}"
+            ) from error
+    points = read_map(spec)
+    if points.shape[1] != 3:
+        raise UserError(f"{spec} is a mesh, and a cloud of points is needed; give a file of its points.")
+    return points
 
 
 def _load_file(path: str) -> World:

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from importlib import metadata
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from packaging.utils import canonicalize_name
 
 from aero_viz.errors import UserError
 from aero_viz.scenes.las import read_las
-from tests.scripts.test_pins import pins_of
+from tests.scripts.test_pins import requirements_of
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -37,9 +38,15 @@ sys.exit(main())
 """The command line where some modules are not installed: names of the modules as JSON, then its arguments."""
 
 
+def applying(texts: Iterable[str], extras: Iterable[str] = ()) -> list[Requirement]:
+    """Return the requirements that apply to this machine, with some extras."""
+    found = map(Requirement, texts)
+    return [r for r in found if r.marker is None or any(r.marker.evaluate({"extra": e}) for e in ("", *extras))]
+
+
 def closure(requirements: list[str]) -> set[str]:
     """Return the distributions that requirements lead to, as installed."""
-    found, waiting = set[str](), [Requirement(text) for text in requirements]
+    found, waiting = set[str](), applying(requirements)
     while waiting:
         requirement = waiting.pop()
         key = f"{canonicalize_name(requirement.name)}{sorted(requirement.extras)}"
@@ -47,18 +54,12 @@ def closure(requirements: list[str]) -> set[str]:
             continue
         found.add(key)
         if requirement.name == "aero-planner":
-            own = [
-                *PLANNER["dependencies"],
-                *(t for e in requirement.extras for t in PLANNER["optional-dependencies"][e]),
-            ]
-            waiting += [Requirement(text) for text in own]
+            waiting += applying(PLANNER["dependencies"])
+            waiting += applying(t for e in requirement.extras for t in PLANNER["optional-dependencies"][e])
         elif requirement.name == "aero-viz":
-            waiting += [Requirement(text) for extra in requirement.extras for text in EXTRAS[extra]]
+            waiting += applying(text for extra in requirement.extras for text in EXTRAS[extra])
         else:
-            for child in map(Requirement, metadata.requires(requirement.name) or []):
-                environments: list[dict[str, str]] = [{"extra": extra} for extra in ("", *requirement.extras)]
-                if child.marker is None or any(child.marker.evaluate(environment) for environment in environments):
-                    waiting.append(child)
+            waiting += applying(metadata.requires(requirement.name) or [], requirement.extras)
     return {key.partition("[")[0] for key in found} - {"aero-planner", "aero-viz"}
 
 
@@ -67,7 +68,7 @@ OPTIONAL = closure(EXTRAS["all"]) - CORE
 
 
 def pinned(section: str) -> set[str]:
-    return {canonicalize_name(line.partition("==")[0]) for line in pins_of(section).splitlines() if "==" in line}
+    return {canonicalize_name(pin.name) for pin in requirements_of(section)}
 
 
 def test_the_pins_are_those_of_the_core_and_of_its_extras():

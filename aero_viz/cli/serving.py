@@ -191,7 +191,7 @@ def play_when_drawn(session: Session, dashboard: Dashboard) -> None:
 
     A visitor who has begun to play or to step meanwhile goes on from there.
     """
-    from aero_viz.dashboard.scripts import wait_until_drawn
+    from aero_viz.dashboard.viser_private import wait_until_drawn
 
     is_first = threading.Semaphore()
 

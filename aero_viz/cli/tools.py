@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from aero_planner.output_files import check_output_files
+from aero_planner.output_files import check_ending, check_output_files
 from aero_planner.plain_text import say
 from aero_viz.cli.flags import (
     AERO_MPPI,
     ConfigFlags,
     Inline,
+    OptionalFloat,
+    OptionalPath,
     OptionalText,
     OutputPath,
     PlannerName,
@@ -98,25 +101,60 @@ def world_export(
     output: OutputPath,
     *,
     spacing: float = 0.1,
+    fit: OptionalFloat = None,
+    picture: OptionalPath = None,
     overwrite: bool = False,
     seed: int = 0,
     world_flags: Inline[WorldFlags] = _WORLD,
 ) -> None:
     """Write a world to a file for other programs.
 
+    A point cloud becomes a world of its voxels or, with --fit, of ground and slopes, trunks, walls, and a mesh of the
+    rest; what was found and how well it fits is printed.
+
     Args:
-        world: Scene, such as forest, or file of a world (JSON), point-cloud map or mesh.
+        world: Scene, such as forest, or file of a world (JSON), point-cloud map or mesh, or a bag of one cloud.
         output: .pcd, .ply or .npy file for points on the world's surfaces, or .json file for the world itself.
         spacing: Spacing of the points [m].
+        fit: Fit solids to a cloud within this tolerance [m], about three times its noise.
+        picture: PNG file of the cloud and of the solids that were fitted, from above and from the side.
         overwrite: Replace an existing file.
         seed: Seed of the scene.
         world_flags: The world.
     """
     from aero_viz.evaluation.world_export import export_world
 
-    check_output_files(output, overwrite=overwrite, inputs=[world])
+    check_output_files(output, overwrite=overwrite, derived=[picture], inputs=[world])
+    check_ending(picture, ".png", "a picture")
+    if fit is not None:
+        text = _fit_world(world, output, world_flags, tolerance=fit, spacing=spacing, picture=picture)
+        say(f"{output}: {text}")
+        return
+    if picture is not None:
+        raise UserError("The picture shows how solids fit a cloud: add --fit 0.1, or leave --picture out.")
     points = export_world(world_flags.load(world, seed=seed), output, spacing=spacing)
     say(f"{output}: {points} points" if points else str(output))
+
+
+def _fit_world(
+    cloud: str, output: Path, flags: WorldFlags, *, tolerance: float, spacing: float, picture: Path | None
+) -> str:
+    """Write the world of solids that fit a cloud; return what was found."""
+    from aero_viz.catalog import read_cloud
+    from aero_viz.evaluation.fit_picture import draw_fit
+    from aero_viz.evaluation.world_export import export_world
+    from aero_viz.scenes.from_cloud import fit_world
+
+    if flags.count is not None or flags.voxel is not None:
+        raise UserError(
+            "Solids that are fitted to a cloud have neither a number nor voxels; leave --count, --voxel out."
+        )
+    points = read_cloud(cloud)
+    fitted = fit_world(points, cloud, tolerance=tolerance, start=flags.start, goal=flags.goal)
+    export_world(fitted.world, output, spacing=spacing)
+    if picture is not None:
+        draw_fit(fitted, picture)
+    return fitted.describe()
 
 
 def world_info(

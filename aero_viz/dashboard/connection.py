@@ -14,8 +14,8 @@ from typing import Any
 
 import msgspec
 import viser
-from viser import _messages
 
+from aero_viz.dashboard import viser_private
 from aero_viz.dashboard.message_limit import MessageLimit
 from aero_viz.dashboard.page_messages import (
     CameraMessage,
@@ -173,7 +173,7 @@ class PageConnection(GuestConnection):
             return None
         client = self._client()
         gui = client.gui if client is not None and is_own(message, client) else self._page.gui
-        return gui._gui_input_handle_from_uuid.get(message.uuid)
+        return viser_private.inputs(gui).get(message.uuid)
 
     def _checked(self, message: PageMessage, data: bytes) -> bytes:
         """Return the message to pass on to viser. Raises ValueError unless a page may send it now."""
@@ -190,7 +190,7 @@ class PageConnection(GuestConnection):
         if isinstance(message, ValueMessage):
             return self._clamped(message, data, gui)
         if isinstance(message, FormMessage):
-            if message.uuid not in gui._container_handle_from_uuid:
+            if message.uuid not in viser_private.containers(gui):
                 raise ValueError("there is no such form")
         elif isinstance(message, UploadStart):
             self._start_upload(message)
@@ -200,7 +200,7 @@ class PageConnection(GuestConnection):
 
     def _clamped(self, message: ValueMessage, data: bytes, gui: viser.GuiApi) -> bytes:
         """Return the message with its value clamped to the bounds of the control; the page shows a clamped value."""
-        control = gui._gui_input_handle_from_uuid.get(message.uuid)
+        control = viser_private.inputs(gui).get(message.uuid)
         if control is None:
             raise ValueError("there is no such control")
         sent, fitted = message.updates.value, control.value
@@ -216,15 +216,14 @@ class PageConnection(GuestConnection):
 
     def _show_value(self, uuid: str, value: Any = None) -> None:
         """Make this client's page show a value of a shared control: `value`, or the control's own."""
-        control, client = self._page.gui._gui_input_handle_from_uuid.get(uuid), self._client()
+        control, client = viser_private.inputs(self._page.gui).get(uuid), self._client()
         if (
             client is None
             or not isinstance(control, viser.GuiInputHandle)
             or isinstance(control, viser.GuiButtonHandle)
         ):
             return
-        updates = {"value": control.value if value is None else value}
-        client._websock_connection.queue_message(_messages.GuiUpdateMessage(uuid, updates))
+        viser_private.show_value(client, uuid, control.value if value is None else value)
 
     def _remind(self) -> None:
         """Tell a visitor without control how to change a shared control."""
@@ -236,10 +235,10 @@ class PageConnection(GuestConnection):
             client.add_notification("You are watching", text, color="yellow", auto_close_seconds=_REMINDER_PERIOD)
 
     def _start_upload(self, start: UploadStart) -> None:
-        button = self._page.gui._gui_input_handle_from_uuid.get(start.source_component_uuid)
+        button = viser_private.inputs(self._page.gui).get(start.source_component_uuid)
         if not isinstance(button, viser.GuiUploadButtonHandle) or button.disabled:
             raise ValueError("there is no such button")
-        if start.transfer_uuid in self._page.gui._current_file_upload_states or self._parts_left:
+        if start.transfer_uuid in viser_private.uploads(self._page.gui) or self._parts_left:
             raise ValueError("another upload is still running")
         if start.size_bytes > self._upload_limit:
             self._refuse_upload(start)
@@ -266,16 +265,15 @@ class PageConnection(GuestConnection):
         successfully as soon as all of it has arrived."""
         client = self._client()
         if client is not None and self._upload is not None:
-            _hide_upload(client, self._upload)
+            viser_private.hide_upload(client, self._upload.transfer_uuid)
 
     def _refuse_upload(self, start: UploadStart) -> None:
         """Tell the client why, and end the upload on the page."""
         self._refused, client = start.transfer_uuid, self._client()
         if client is None:
             return
-        sizes = (start.source_component_uuid, start.transfer_uuid, start.size_bytes, start.size_bytes)
-        client._websock_connection.queue_message(_messages.FileTransferPartAck(*sizes))
-        _hide_upload(client, start)
+        viser_private.end_upload(client, start.source_component_uuid, start.transfer_uuid, start.size_bytes)
+        viser_private.hide_upload(client, start.transfer_uuid)
         client.add_notification(
             "Error",
             f"{start.filename} has {start.size_bytes / 1000:.0f} kB and is not uploaded: the page takes files of up to "
@@ -286,17 +284,12 @@ class PageConnection(GuestConnection):
     def _client(self) -> viser.ClientHandle | None:
         """Return viser's handle of this client, None until its camera is known."""
         if self._number is None:
-            connections = self._page._websock_server._live_connections
+            connections = viser_private.connections(self._page)
             self._number = next(number for number, connection in connections.items() if connection is self)
-        return self._page._connected_clients.get(self._number)
+        return viser_private.client_handle(self._page, self._number)
 
     def _warn(self, text: str) -> None:
         """Log the first problem of a client; a flood of messages must not become a flood of log lines."""
         if not self._warned:
             self._warned = True
             _log.warning("%s", text)
-
-
-def _hide_upload(client: viser.ClientHandle, upload: UploadStart) -> None:
-    """Remove the notification that the page shows under this name. It does not come back with a later answer."""
-    client._websock_connection.queue_message(_messages.RemoveNotificationMessage(f"upload-{upload.transfer_uuid}"))

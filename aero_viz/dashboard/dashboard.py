@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import viser
@@ -36,9 +36,7 @@ from aero_viz.session.base import BaseSession
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Conditions, Opener, SourceInfo
-
-if TYPE_CHECKING:
-    from aero_viz.evaluation.tune import StoredStudy
+from aero_viz.study_view import Study
 
 _PANEL_PERIOD = 0.2
 """Shortest time between two updates of the panels [s]."""
@@ -89,7 +87,7 @@ class Dashboard:
         embedders: Sequence[str] = (),
         history: FlightHistory | None = None,
         files: Files | None = None,
-        study: StoredStudy | None = None,
+        study: Study | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:

@@ -9,8 +9,8 @@ from aero_viz.dashboard.layers import Change, Layer, apply
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.panels.camera import Viewpoints
-from aero_viz.dashboard.scripts import wait_until_drawn
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.dashboard.viser_private import wait_until_drawn
 from aero_viz.session.base import BaseSession
 
 _WAIT_MAX = 3.0

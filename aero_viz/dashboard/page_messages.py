@@ -9,6 +9,8 @@ from typing import Annotated, Any, TypeAlias
 import msgspec
 import viser
 
+from aero_viz.dashboard.viser_private import commands, containers, inputs
+
 Name = Annotated[str, msgspec.Meta(max_length=200)]
 Text = Annotated[str, msgspec.Meta(max_length=5000)]
 Pair: TypeAlias = tuple[float, float]
@@ -146,12 +148,12 @@ class _Pointer(PageMessage, tag="ScenePointerMessage"):
     modifier: Name | None
 
 
-_MESSAGES: Any = (
+MESSAGES: Any = (
     CameraMessage | ValueMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart | UploadPart
     | _Rendering | _StoredItem | _ShareRequest | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick | _NodeDrag
     | _Pointer
 )  # fmt: skip
-_decoder = msgspec.msgpack.Decoder(_MESSAGES)
+_decoder = msgspec.msgpack.Decoder(MESSAGES)
 
 _NUMBER_MAX = 1e15
 """No setting is larger, and a browser does not store larger numbers exactly."""
@@ -181,13 +183,13 @@ def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
     if client is None:
         return False
     if isinstance(message, (ValueMessage, _ButtonHold)):
-        return message.uuid in client.gui._gui_input_handle_from_uuid
+        return message.uuid in inputs(client.gui)
     if isinstance(message, FormMessage):
-        return message.uuid in client.gui._container_handle_from_uuid
+        return message.uuid in containers(client.gui)
     if isinstance(message, _Command):
-        return message.uuid in client.gui._command_handle_from_uuid
+        return message.uuid in commands(client.gui)
     if isinstance(message, (UploadStart, UploadPart)):
-        return message.source_component_uuid in client.gui._gui_input_handle_from_uuid
+        return message.source_component_uuid in inputs(client.gui)
     return getattr(message, "owner", "") == str(client.client_id)
 
 

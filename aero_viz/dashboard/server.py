@@ -16,15 +16,12 @@ from typing import Any
 
 import numpy as np
 import viser
-from viser import _messages
-from viser.infra import WebsockClientConnection
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard import palette
+from aero_viz.dashboard import palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.tokens import Role, Tokens
-from aero_viz.dashboard.viser_server import LoopEvent, serving
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 from aero_viz.guests import BACKLOG, Guests, report_briefly
@@ -159,19 +156,15 @@ class LocalServer(viser.ViserServer):
             "logger": quiet_logger(__name__),
         }
         # viser's banner is discarded; the caller prints the address.
-        with contextlib.redirect_stdout(io.StringIO()), serving(self._admit, options):
+        with contextlib.redirect_stdout(io.StringIO()), viser_private.serving(self._admit, options):
             super().__init__(host=host, port=port, label="AERO-Viz", verbose=False)
         if port and self.get_port() != port:
             self.stop()
             raise _busy(host, port)
         report_briefly(self.get_event_loop())
-        server = self._websock_server
-        server.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
-        server.on_client_connect(self._prepare_client)
-        server.on_client_disconnect(lambda client: self.visitors.leave(client.client_id))  # type: ignore[arg-type]
+        viser_private.mend(self, on_leave=self.visitors.leave)
         if not self._access.is_private:
             self._tokens = Tokens(self.get_port())
-        self._acknowledge_uploads_privately()
         self._style()
         self._is_open.set()
 
@@ -210,34 +203,12 @@ class LocalServer(viser.ViserServer):
 
     def rendering(self, client: viser.ClientHandle) -> contextlib.AbstractContextManager[None]:
         """Let a client send a picture while the context is open."""
-        connection = self._websock_server._live_connections.get(client.client_id)
+        connection = viser_private.connections(self).get(client.client_id)
         return connection.rendering() if isinstance(connection, PageConnection) else contextlib.nullcontext()
-
-    async def _prepare_client(self, client: WebsockClientConnection) -> None:
-        client.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
-
-    def _acknowledge_uploads_privately(self) -> None:
-        """Tell only the page that uploads a file how much has arrived.
-
-        viser tells all pages, later ones too, which then show the upload of a file without a name.
-        """
-        server = self._websock_server
-        broadcast = server.queue_message
-
-        def queue_message(message: Any) -> None:
-            if not isinstance(message, _messages.FileTransferPartAck):
-                broadcast(message)
-                return
-            upload = self.gui._current_file_upload_states.get(message.transfer_uuid)
-            client = None if upload is None else self._connected_clients.get(upload["client_id"])
-            if client is not None:
-                client._websock_connection.queue_message(message)
-
-        server.queue_message = queue_message  # type: ignore[method-assign]
 
     def hide_upload(self, client: viser.ClientHandle) -> None:
         """Remove the notification that a client's last upload was successful, since its file is refused."""
-        connection = self._websock_server._live_connections.get(client.client_id)
+        connection = viser_private.connections(self).get(client.client_id)
         if isinstance(connection, PageConnection):
             connection.hide_upload()
 

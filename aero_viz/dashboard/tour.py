@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.dashboard import Dashboard
 from aero_viz.dashboard.layers import LAYERS
-from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.viser_private import run_script
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame

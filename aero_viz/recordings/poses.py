@@ -80,23 +80,14 @@ class RecordedPoses:
         """Longest time between two poses that is interpolated [s]."""
         self.quaternions: Array = q
         """[n, 4] w, x, y, z, body to world."""
-        self.track = self._build_track()
+        self.track = _track_of(self)
         """The poses relative to `offset`, and an extrapolated one at either end."""
-
-    def _build_track(self) -> PoseTrack:
-        # Extrapolated poses at either end let the track serve the times within the tolerance, too.
-        t, p, q, reach = self.times, self.positions, self.quaternions, POSE_TOLERANCE * self.velocities
-        return PoseTrack.from_arrays(
-            np.concatenate([t[:1] - POSE_TOLERANCE, t, t[-1:] + POSE_TOLERANCE]),
-            np.concatenate([p[:1] - reach[:1], p, p[-1:] + reach[-1:]]),
-            np.concatenate([q[:1], q, q[-1:]]),
-        )
 
     def shifted(self, start: float) -> RecordedPoses:
         """Return the same poses with times counted from `start` [s]."""
         result = copy.copy(self)
         result.times = self.times - start
-        result.track = result._build_track()
+        result.track = _track_of(result)
         return result
 
     def turned(self, rotation: Array) -> RecordedPoses:
@@ -104,14 +95,14 @@ class RecordedPoses:
         result = copy.copy(self)
         result.quaternions = multiply(self.quaternions, conjugate(rotation))
         result.twists = None if self.twists is None else rotate(rotation, self.twists)
-        result.track = result._build_track()
+        result.track = _track_of(result)
         return result
 
     def without_offset(self) -> RecordedPoses:
         """Return the same poses in the recorded frame: the offset is zero, and far positions lose precision."""
         result = copy.copy(self)
         result.positions, result.offset = self.positions + self.offset, np.zeros(3)
-        result.track = result._build_track()
+        result.track = _track_of(result)
         return result
 
     def covers(self, times: ArrayLike) -> NDArray[np.bool_]:
@@ -183,3 +174,13 @@ def position_differences(times: Array, positions: Array) -> Array:
     early, late = np.maximum(times - half, times[0]), np.minimum(times + half, times[-1])
     moved = [np.interp(late, times, axis) - np.interp(early, times, axis) for axis in positions.T]
     return np.stack(moved, axis=1) / np.maximum(late - early, 1e-9)[:, None]
+
+
+def _track_of(poses: RecordedPoses) -> PoseTrack:
+    # Extrapolated poses at either end let the track serve the times within the tolerance, too.
+    t, p, q, reach = poses.times, poses.positions, poses.quaternions, POSE_TOLERANCE * poses.velocities
+    return PoseTrack.from_arrays(
+        np.concatenate([t[:1] - POSE_TOLERANCE, t, t[-1:] + POSE_TOLERANCE]),
+        np.concatenate([p[:1] - reach[:1], p, p[-1:] + reach[-1:]]),
+        np.concatenate([q[:1], q, q[-1:]]),
+    )

@@ -74,16 +74,46 @@ def load_map(
         cloud, tables = _read_solids(path, voxel)
     else:
         cloud, tables = _read_map(path, voxel, read_map(path))
-    # Maps in geographic coordinates are recentred in double precision.
-    shift = np.floor(cloud.min(axis=0)) if np.abs(cloud).max() > _RECENTRE_BEYOND else np.zeros(3)
-    cloud = cloud - shift
+    cloud, shift = recentred(cloud)
     tables = {key: _moved(key, table, -shift) for key, table in tables.items()}
+    return complete_world(path, cloud, tables, shift=shift, start=start, goal=goal, across=across)
+
+
+def recentred(points: Array) -> tuple[Array, Array]:
+    """Return points [n, 3] [m] near the origin and the shift that was subtracted, zero unless one is beyond 10 km."""
+    # Maps in geographic coordinates are recentred in double precision.
+    shift = np.floor(points.min(axis=0)) if np.abs(points).max() > _RECENTRE_BEYOND else np.zeros(3)
+    return points - shift, shift
+
+
+def complete_world(
+    path: str | Path,
+    points: Array,
+    tables: dict[str, Array],
+    *,
+    shift: Array,
+    start: ArrayLike | None,
+    goal: ArrayLike | None,
+    across: bool = False,
+) -> World:
+    """Return the world of some tables with start and goal, which are given before the shift, or chosen; see `load_map`.
+
+    Args:
+        path: file; its stem becomes the name of the world.
+        points: points of the map [n, 3] [m], from which the height of the ground is taken.
+        tables: tables of the world by name.
+        shift: what was subtracted from points and tables [m], [3].
+        start, goal, across: those of `load_map`.
+
+    Raises:
+        UserError: start or goal is no position, or there is no free one.
+    """
     start_position = None if start is None else _position(start, "start") - shift
     goal_position = None if goal is None else _position(goal, "goal") - shift
     try:
         if start_position is None or goal_position is None:
             start_position, goal_position = _choose_ends(
-                cloud, tables, start_position, goal_position, across=across, path=path
+                points, tables, start_position, goal_position, across=across, path=path
             )
         return World(Path(path).stem, start_position, goal_position, **tables)
     except ValueError as error:
@@ -95,14 +125,14 @@ def _read_map(path: str | Path, voxel: float | None, table: Array) -> tuple[Arra
     if table.shape[1] == 9:
         if voxel is not None:
             raise UserError(f"{path} is a mesh, which has no voxels; leave their size out.")
-        _check_span(table.reshape(-1, 3), path)
+        check_span(table.reshape(-1, 3), path)
         points = _sample(table)
         return points, {"triangles": table}
-    _check_span(table, path)
+    check_span(table, path)
     edge = VOXEL if voxel is None else voxel
     # Far from the origin the boxes are shifted with the points, to the same voxels.
-    shift = np.floor(table.min(axis=0)) if np.abs(table).max() > _RECENTRE_BEYOND else np.zeros(3)
-    boxes = _merge_voxels(_occupied_voxels(table - shift, edge, path), edge)
+    near, shift = recentred(table)
+    boxes = merge_voxels(occupied_voxels(near, edge, path), edge)
     return table, {"boxes": _moved("boxes", boxes, shift)}
 
 
@@ -120,7 +150,7 @@ def _read_solids(path: str | Path, pixel: float | None) -> tuple[Array, dict[str
     low, high = corners.min(axis=0), corners.max(axis=0)
     if solids.ground is not None:
         low[2] = solids.ground[2] + 0.5 * solids.ground[5]
-    _check_span(np.stack([low, high]), path)
+    check_span(np.stack([low, high]), path)
     ends = np.stack([low, np.maximum(high, low)])
     return np.array([[x, y, z] for x in ends[:, 0] for y in ends[:, 1] for z in ends[:, 2]]), tables
 
@@ -140,7 +170,7 @@ def _position(value: ArrayLike, name: str) -> Array:
     return position
 
 
-def _check_span(points: Array, path: str | Path) -> None:
+def check_span(points: Array, path: str | Path) -> None:
     """Refuse a map that is wider than any flight, which a single stray point can make of it."""
     lower, upper = points.min(axis=0), points.max(axis=0)
     with np.errstate(over="ignore"):
@@ -157,7 +187,7 @@ def _check_span(points: Array, path: str | Path) -> None:
     )
 
 
-def _occupied_voxels(points: Array, edge: float, path: str | Path) -> NDArray[np.int64]:
+def occupied_voxels(points: Array, edge: float, path: str | Path) -> NDArray[np.int64]:
     """Return the indices of the voxels that hold a point [n, 3], x slowest, z fastest."""
     first = np.floor(points.min(axis=0) / edge).astype(np.int64)
     key = np.zeros(len(points), np.int64)
@@ -172,7 +202,7 @@ def _occupied_voxels(points: Array, edge: float, path: str | Path) -> NDArray[np
     return np.column_stack([key >> 42, (key >> 21) & 0x1FFFFF, key & 0x1FFFFF]) + first
 
 
-def _merge_voxels(voxels: NDArray[np.int64], edge: float) -> Array:
+def merge_voxels(voxels: NDArray[np.int64], edge: float) -> Array:
     """Return boxes [n, 7] that fill exactly the voxels with these indices [m, 3].
 
     Voxels are merged into runs along x, equal runs along y, then equal runs along z. Walls and floors then need a tenth

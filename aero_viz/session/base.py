@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from numpy.typing import ArrayLike
 
 from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.session.frame import Frame, Notice
+from aero_viz.session.publisher import Publisher
 from aero_viz.session.source import Source
 from aero_viz.session.timeline import Checkpoint
 
 if TYPE_CHECKING:
     from aero_viz.session.comparison import Comparison
-
-T = TypeVar("T")
 
 
 class SessionControls(Protocol):
@@ -109,42 +107,6 @@ def completed() -> Future[Any]:
     future: Future[Any] = Future()
     future.set_result(None)
     return future
-
-
-class Publisher(Generic[T]):
-    """Hands each item to any number of mailboxes, its sinks."""
-
-    def __init__(self) -> None:
-        # Replaced as a whole and never changed, so that `publish` needs no lock.
-        self._sinks: tuple[Mailbox[T], ...] = ()
-        self._lock = threading.Lock()
-
-    def subscribe(self, callback: Callable[[T], None], *, capacity: int, name: str) -> Mailbox[T]:
-        """Return a new sink that calls `callback` with each item; see `Mailbox`."""
-        sink = Mailbox(callback, capacity=capacity, name=f"aero-viz-{name}")
-        with self._lock:
-            self._sinks = (*self._sinks, sink)
-        return sink
-
-    def publish(self, item: T) -> None:
-        """Hand `item` to every sink without waiting."""
-        for sink in self._sinks:
-            sink.put(item)
-
-    def unsubscribe(self, sink: Mailbox[T], *, timeout: float = 0.0) -> None:
-        """Remove and close a sink. Items that still wait are delivered for up to `timeout` [s]."""
-        with self._lock:
-            if sink not in self._sinks:
-                return
-            self._sinks = tuple(kept for kept in self._sinks if kept is not sink)
-        if timeout:
-            sink.drain(timeout)
-        sink.close()
-
-    def close(self) -> None:
-        """Close all sinks."""
-        for sink in self._sinks:
-            sink.close()
 
 
 class BaseSession(ABC):

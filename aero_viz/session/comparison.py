@@ -14,9 +14,9 @@ from aero_planner.mailbox import Mailbox
 from aero_viz.errors import UserError
 from aero_viz.planners.planner import Planner
 from aero_viz.planners.registry import make
-from aero_viz.session.base import Publisher
 from aero_viz.session.engine import Engine, reconfigured
 from aero_viz.session.frame import Frame
+from aero_viz.session.publisher import Publisher
 from aero_viz.session.timeline import Checkpoint
 
 _TICKS_PER_TURN = 4

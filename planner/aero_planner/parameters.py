@@ -347,8 +347,8 @@ class SectionedConfig:
 
         Parameters that only one of them has, because it is for another planner, are left out.
         """
-        shared = (info.path for info in self.parameters() if info.path in other._by_path())
-        pairs = {path: (self.get(path), other.get(path)) for path in shared}
+        shared = {info.path for info in other.parameters()}
+        pairs = {p: (self.get(p), other.get(p)) for p in (info.path for info in self.parameters()) if p in shared}
         return {path: pair for path, pair in pairs.items() if pair[0] != pair[1]}
 
     def to_dict(self) -> dict[str, dict[str, Value]]:

@@ -14,6 +14,7 @@ from aero_planner.config.file import load_config
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.configuration import Baseline, differences
 from aero_viz.dashboard.preset_store import PresetStore
+from aero_viz.dashboard.viser_private import identifier, inputs
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
@@ -63,7 +64,7 @@ class WaitingSession(Session):
 
 def uuid_of(dashboard: Dashboard, label: str) -> str:
     """Return what messages of the page call a control."""
-    controls = dashboard.server.gui._gui_input_handle_from_uuid
+    controls = inputs(dashboard.server.gui)
     return next(uuid for uuid, control in controls.items() if getattr(control, "label", "") == label)
 
 
@@ -90,7 +91,7 @@ def test_a_saved_preset_is_confirmed_and_replaced_only_after_a_question(monkeypa
         heard = read_until(client, "Keep it")
         assert "Replace this preset?" in heard and store.load("mine").config == before
         (page,) = dashboard.server.get_clients().values()
-        answers = page.gui._gui_input_handle_from_uuid
+        answers = inputs(page.gui)
         (answer,) = (
             uuid for uuid, control in answers.items() if getattr(control, "options", ()) == ("Replace", "Keep it")
         )
@@ -172,7 +173,7 @@ def test_the_page_answers_while_an_uploaded_file_is_read():
         send(client, **CAMERA)
         upload(dashboard, client, b"costs:\n  q_track: 7.5\n")
         wait_for(session.is_asked.is_set, "the file to be read")
-        send(client, type="GuiUpdateMessage", uuid=box._impl.uuid, updates={"value": True})
+        send(client, type="GuiUpdateMessage", uuid=identifier(box), updates={"value": True})
         wait_for(lambda: session.config.costs.q_track == 7.5, "the configuration")
     dashboard.close()
     session.close()

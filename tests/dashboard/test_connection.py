@@ -10,8 +10,10 @@ import pytest
 import viser
 from websockets.exceptions import InvalidStatus
 
+from aero_viz.dashboard import viser_private
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.dashboard.viser_private import connections, identifier
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 LIMIT = 1000
@@ -36,10 +38,6 @@ def client(server: LocalServer):
 
 def set_value(client, control, **updates) -> None:
     send(client, type="GuiUpdateMessage", uuid=identifier(control), updates=updates)
-
-
-def identifier(control) -> str:
-    return control._impl.uuid
 
 
 def test_no_attribute_of_a_control_but_its_value_can_be_set(server, client):
@@ -204,14 +202,14 @@ def test_unfinished_uploads_go_with_their_client(server, uploads):
 
 
 def unfinished(server: LocalServer) -> list:
-    return list(server.gui._current_file_upload_states.values())
+    return list(viser_private.uploads(server.gui).values())
 
 
 def test_a_message_that_is_sent_just_before_the_server_waits_is_not_forgotten(server, client, monkeypatch):
     """The moment between the check of an event and the wait for it is made long enough for another thread."""
     button = server.gui.add_button("Play")
     read_until(client, "Play")
-    original, labels = asyncio.Event._get_loop, [f"label {i}" for i in range(6)]  # type: ignore[attr-defined]
+    original, labels = asyncio.Event._get_loop, [f"label {i}" for i in range(6)]  # type: ignore[attr-defined]  # noqa: SLF001
     left = list(labels)
 
     def get_loop(event: asyncio.Event) -> asyncio.AbstractEventLoop:
@@ -229,10 +227,10 @@ def test_a_message_that_is_sent_just_before_the_server_waits_is_not_forgotten(se
 def test_no_more_pages_are_open_at_once_than_there_is_room_for(server, client, monkeypatch):
     monkeypatch.setattr(server.guests, "clients_max", 2)
     with join(server):
-        wait_for(lambda: len(server._websock_server._live_connections) == 2, "the second page")
+        wait_for(lambda: len(connections(server)) == 2, "the second page")
         with pytest.raises(InvalidStatus, match="503"):
             join(server)
-    wait_for(lambda: len(server._websock_server._live_connections) == 1, "room")
+    wait_for(lambda: len(connections(server)) == 1, "room")
     with join(server) as third:
         read_until(third, "AERO-Viz")
 

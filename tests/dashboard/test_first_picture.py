@@ -15,7 +15,7 @@ from websockets.sync.connection import Connection
 from aero_viz.cli.serving import play_when_drawn
 from aero_viz.dashboard import Dashboard, LocalServer
 from aero_viz.dashboard.first_picture import show_first_picture
-from aero_viz.dashboard.scripts import wait_until_drawn
+from aero_viz.dashboard.viser_private import wait_until_drawn
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 

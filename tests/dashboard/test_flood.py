@@ -10,6 +10,7 @@ import pytest
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.viser_private import identifier, inputs
 from aero_viz.flight import FlightSource
 from aero_viz.planners import Plan
 from aero_viz.session import Observation, Session
@@ -73,12 +74,12 @@ def desk() -> Iterator[SimpleNamespace]:
 def control(desk: SimpleNamespace, label: str) -> Any:
     server = desk.dashboard.server
     scopes = (server.gui, *(client.gui for client in server.get_clients().values()))
-    controls = [control for gui in scopes for control in list(gui._gui_input_handle_from_uuid.values())]
+    controls = [control for gui in scopes for control in list(inputs(gui).values())]
     return next((control for control in controls if control.label == label), None)
 
 
 def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
-    send(desk.client, type="GuiUpdateMessage", uuid=control(desk, label)._impl.uuid, updates={"value": value})
+    send(desk.client, type="GuiUpdateMessage", uuid=identifier(control(desk, label)), updates={"value": value})
 
 
 def release(desk: SimpleNamespace) -> None:

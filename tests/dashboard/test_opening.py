@@ -18,6 +18,7 @@ from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.links import Link, Opening
 from aero_viz.dashboard.panels.source import SourcePanel
+from aero_viz.dashboard.viser_private import identifier, inputs
 from aero_viz.errors import UserError
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.reader_process import Reader, ReaderProcess, read_here
@@ -76,12 +77,12 @@ def desk(folder: Path) -> Iterator[SimpleNamespace]:
 
 
 def set_control(desk: SimpleNamespace, label: str, value: object) -> None:
-    uuid = next(control._impl.uuid for control in controls(desk) if control.label == label)
+    uuid = next(identifier(control) for control in controls(desk) if control.label == label)
     send(desk.client, type="GuiUpdateMessage", uuid=uuid, updates={"value": value})
 
 
 def controls(desk: SimpleNamespace) -> list[Any]:
-    return list(desk.dashboard.server.gui._gui_input_handle_from_uuid.values())
+    return list(inputs(desk.dashboard.server.gui).values())
 
 
 def scene_list(desk: SimpleNamespace) -> Any:

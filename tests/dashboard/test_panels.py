@@ -16,9 +16,10 @@ from aero_viz.dashboard.panels.controls import ItemsControl, SliderControl, add_
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
 from aero_viz.dashboard.panels.study import progress
 from aero_viz.dashboard.server import LocalServer
-from aero_viz.evaluation.tune.stored_study import StudyView
+from aero_viz.dashboard.viser_private import inputs
 from aero_viz.scenes import SCENES
 from aero_viz.session.source import Conditions
+from aero_viz.study_view import StudyView
 
 
 @pytest.mark.parametrize("preset", PlannerConfig.presets())
@@ -123,7 +124,7 @@ def test_names_from_outside_are_escaped_in_markup():
 
 def test_the_number_of_obstacles_is_that_of_each_scene_and_a_wrong_one_is_refused(server):
     controls = ConditionControls(server.gui, Conditions())
-    count = next(c for c in server.gui._gui_input_handle_from_uuid.values() if c.label == "Obstacles")
+    count = next(c for c in inputs(server.gui).values() if c.label == "Obstacles")
     for name, kind in SCENES.items():
         controls.offer(name)
         assert count.disabled != kind.counted

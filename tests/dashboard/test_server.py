@@ -61,7 +61,7 @@ def test_an_impossible_address_is_an_error_that_tells_which_flag_to_change(host,
         LocalServer(host=host, port=port)
 
 
-def test_a_request_to_share_the_page_publicly_is_refused(server, caplog):
+def test_a_request_to_share_the_page_publicly_is_refused(server, caplog, capsys):
     with caplog.at_level(logging.WARNING), join(server) as client:
         send(client, **CAMERA)  # the only visitor holds control
         send(client, type="ShareUrlRequest")
@@ -69,7 +69,8 @@ def test_a_request_to_share_the_page_publicly_is_refused(server, caplog):
         while "refused" not in caplog.text:
             assert time.monotonic() < deadline, "the request was not answered"
             time.sleep(0.02)
-        assert server._share_tunnel is None
+        server.disconnect_share_url()
+        assert "already disconnected" in capsys.readouterr().out
     assert server.request_share_url() is None
 
 

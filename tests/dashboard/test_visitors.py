@@ -8,6 +8,7 @@ import pytest
 
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.server import LocalServer
+from aero_viz.dashboard.viser_private import commands, identifier, inputs, uploads
 from aero_viz.dashboard.visitors import Visitors
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
@@ -66,7 +67,7 @@ def pair(server: LocalServer) -> Iterator[tuple[Any, Any]]:
 
 
 def set_value(client: Any, control: Any, value: Any) -> None:
-    send(client, type="GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
+    send(client, type="GuiUpdateMessage", uuid=identifier(control), updates={"value": value})
 
 
 def test_only_who_has_control_uses_what_all_share(server: LocalServer, pair):
@@ -76,23 +77,23 @@ def test_only_who_has_control_uses_what_all_share(server: LocalServer, pair):
     pressed: list[Any] = []
     server.gui.add_button("Play").on_click(pressed.append)
     server.gui.add_command("Pause").on_trigger(pressed.append)
-    play = next(c for c in server.gui._gui_input_handle_from_uuid.values() if c.label == "Play")
-    command = next(iter(server.gui._command_handle_from_uuid))
+    play = next(c for c in inputs(server.gui).values() if c.label == "Play")
+    command = next(iter(commands(server.gui)))
     set_value(second, slider, 3.0)
     set_value(second, play, True)
     send(second, type="CommandTriggerMessage", uuid=command)
     send(
-        second, type="FileTransferStartUpload", source_component_uuid=upload._impl.uuid, transfer_uuid="a",
+        second, type="FileTransferStartUpload", source_component_uuid=identifier(upload), transfer_uuid="a",
         filename="f.yaml", mime_type="", part_count=1, size_bytes=1,
     )  # fmt: skip
     heard = read_until(second, "You are watching")
-    assert slider._impl.uuid in heard, "the page shows the value that stays"
+    assert identifier(slider) in heard, "the page shows the value that stays"
     own = server.get_clients()[1].gui.add_checkbox("own", False)
     set_value(second, own, True)
     wait_for(lambda: own.value, "the visitor's own control, after all of the above")
     set_value(first, end, True)
     wait_for(lambda: end.value, "the first visitor")
-    assert slider.value == 1.0 and not pressed and not server.gui._current_file_upload_states
+    assert slider.value == 1.0 and not pressed and not uploads(server.gui)
     server.visitors.take_control(1)
     set_value(second, slider, 3.0)
     wait_for(lambda: slider.value == 3.0, "the second visitor")

@@ -12,6 +12,7 @@ from fuzz.mutation import unpack
 from small_source import small_config, small_source
 
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.viser_private import commands, identifier, inputs
 from aero_viz.session import Session
 from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
@@ -42,8 +43,8 @@ def _send(messages: list[bytes], has_control: bool, folder: str) -> None:
     try:
         server, gui = dashboard.server, dashboard.server.gui
         # Applying structural parameters would build planners of any size.
-        controls = [c for c in gui._gui_input_handle_from_uuid.values() if getattr(c, "label", "") != "Apply"]
-        names = [*(c._impl.uuid for c in controls), *gui._command_handle_from_uuid]
+        controls = [c for c in inputs(gui).values() if getattr(c, "label", "") != "Apply"]
+        names = [*(identifier(c) for c in controls), *commands(gui)]
         known = {key.encode(): names[i % len(names)].encode() for i, key in enumerate(IDENTIFIERS)}
         session.start()
         with join(server) as first, join(server) as second:
@@ -56,7 +57,7 @@ def _send(messages: list[bytes], has_control: bool, folder: str) -> None:
             clients = server.get_clients()
             number = next(number for number in clients if server.visitors.has_control(number) is has_control)
             end = clients[number].gui.add_checkbox("end", False)
-            send(client, type="GuiUpdateMessage", uuid=end._impl.uuid, updates={"value": True})
+            send(client, type="GuiUpdateMessage", uuid=identifier(end), updates={"value": True})
             wait_for(lambda: end.value, "the message after all others", timeout=60.0)
             frame = session.frame
             assert session.step(1).exception(timeout=60.0) is None and session.frame is not frame

@@ -1,6 +1,6 @@
 import threading
 
-from aero_viz.session.base import Publisher
+from aero_viz.session.publisher import Publisher
 
 
 def test_unsubscribe_can_wait_for_the_items_published_so_far():

@@ -15,6 +15,7 @@ from aero_planner import Plan as EnsemblePlan
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.history import FlightHistory
+from aero_viz.dashboard.viser_private import is_removed
 from aero_viz.planners.plan import lacks
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -39,7 +40,7 @@ def apply(changes: Iterable[Change], *, computed_at: float = math.inf) -> None:
         try:
             setattr(handle, name, value)
         except RuntimeError:
-            if not handle._impl.removed:
+            if not is_removed(handle):
                 raise
 
 

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 import viser
 
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import configure_theme
+from aero_viz.dashboard.viser_private import run_script
 
 _THEME = "theme"
 _ANSWER_MAX = 60.0

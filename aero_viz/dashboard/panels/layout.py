@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import viser
 
@@ -38,9 +38,7 @@ from aero_viz.errors import UserError
 from aero_viz.registry import Registry
 from aero_viz.session.base import SessionControls
 from aero_viz.session.source import Conditions, Opener
-
-if TYPE_CHECKING:
-    from aero_viz.evaluation.tune import StoredStudy
+from aero_viz.study_view import Study
 
 
 @dataclass(frozen=True)
@@ -54,7 +52,7 @@ class Offer:
     opened: str = ""
     conditions: Conditions | None = None
     files: Files | None = None
-    study: StoredStudy | None = None
+    study: Study | None = None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import viser
 
 from aero_viz.dashboard.panels.base import Page, Panel
-from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.viser_private import identifier, run_script
 
 _SCRIPT = """
 (() => {
@@ -80,7 +80,7 @@ class OpenTabs(Panel):
                 self._open[client.client_id] = name
             self._tell()
 
-        return button._impl.uuid
+        return identifier(button)
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         with self._lock:

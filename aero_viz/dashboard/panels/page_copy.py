@@ -14,7 +14,7 @@ from aero_planner.user_file import parse_json
 from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
-from aero_viz.dashboard.scripts import run_script, wait_until_drawn
+from aero_viz.dashboard.viser_private import run_script, wait_until_drawn
 
 _SIZE_MIN, _SIZE_MAX = 300, 4000
 _TOKEN, _VIEW = "aero-copy", "aero-view"

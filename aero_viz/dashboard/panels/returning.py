@@ -11,7 +11,7 @@ import viser
 
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel, CameraPlace
-from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.viser_private import run_script
 
 _ITEM = "aero-visit"
 _STORE = f"""

@@ -23,8 +23,8 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.file_progress import FileProgress
 from aero_viz.dashboard.panels.page_copy import PageCopies
 from aero_viz.dashboard.panels.source import SourcePanel
-from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import notify
+from aero_viz.dashboard.viser_private import run_script
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.flight.known_drone import config_without_facts

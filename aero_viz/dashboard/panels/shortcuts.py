@@ -9,7 +9,7 @@ import viser
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.keys import KEYS, LISTENER, Key, rows
-from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.viser_private import run_script
 
 Action = Callable[..., object]
 """Called with the visitor, and the argument of the key if it has one."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import viser
 
@@ -18,9 +17,7 @@ from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.errors import UserError
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
-
-if TYPE_CHECKING:  # the page knows only the form of a study
-    from aero_viz.evaluation.tune.stored_study import Importance, StoredStudy, StudyPoint, StudyView
+from aero_viz.study_view import Importance, Study, StudyPoint, StudyView
 
 _PERIOD = 1.0
 """Time between two polls of the study [s]."""
@@ -35,7 +32,7 @@ _CLICK = "[...document.querySelectorAll('button')].find(b => b.textContent.start
 class StudyPanel(Panel):
     """Follows a study. A click on a point of its front makes its configuration B and the present one A."""
 
-    def __init__(self, page: Page, controls: SessionControls, study: StoredStudy) -> None:
+    def __init__(self, page: Page, controls: SessionControls, study: Study) -> None:
         self._controls, self._study = controls, study
         self._view = study.read()
         self._error = ""

@@ -8,7 +8,7 @@ import viser
 
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.dashboard.scripts import run_script
+from aero_viz.dashboard.viser_private import run_script
 from aero_viz.session.source import SourceInfo
 
 PRODUCT = "AERO-Viz"

@@ -9,6 +9,7 @@ import viser
 from aero_viz.dashboard.layers import Change, apply
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.viser_private import inputs
 from aero_viz.session.frame import Frame
 
 _VISITORS_CLASS, _TAKE_CONTROL_CLASS = "aero-visitors", "aero-take-control"
@@ -86,5 +87,5 @@ class VisitorPanel(Panel):
 
 def _own_style(client: viser.ClientHandle) -> str:
     """Return a style sheet that shows the visitor's own controls, which need no control of the session, as usual."""
-    own = ",".join(f'[id="{uuid}"]' for uuid in list(client.gui._gui_input_handle_from_uuid))
+    own = ",".join(f'[id="{uuid}"]' for uuid in list(inputs(client.gui)))
     return f"<style>:is({own}){{opacity:1!important;cursor:auto!important}}</style>" if own else ""

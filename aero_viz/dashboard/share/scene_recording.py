@@ -12,10 +12,10 @@ from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import LAYERS, Change, Layer, apply, known_names
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, Viewpoints
-from aero_viz.dashboard.scripts import run_script
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.dashboard.share.legend import RecordedLegend
 from aero_viz.dashboard.share.page import REWOUND
+from aero_viz.dashboard.viser_private import run_script
 from aero_viz.errors import UserError
 from aero_viz.session.frame import Frame
 

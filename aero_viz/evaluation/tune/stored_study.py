@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aero_planner.config import DroneConfig
 from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
 from aero_viz.evaluation.statistics import mean_interval, wilson_interval
@@ -18,6 +16,7 @@ from aero_viz.evaluation.tune.storage import check_file, first_line, read_only_s
 from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, flight_count, require_optuna
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials, pareto_front
 from aero_viz.evaluation.tune.tuning_result import Candidate
+from aero_viz.study_view import Estimate, Importance, StudyPoint, StudyView
 
 if TYPE_CHECKING:
     import optuna
@@ -29,64 +28,6 @@ _BEST_SHARE = 0.25
 """Share of the candidates that the importance sets apart from the others."""
 _RESAMPLES = 30
 _NAMES_MAX = 10
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A figure with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.3g} ({self.low:.3g} to {self.high:.3g})"
-
-
-@dataclass(frozen=True)
-class StudyPoint:
-    """A candidate that flew in all worlds."""
-
-    trial: int | None
-    """Number of the trial; None for the incumbent."""
-    config: DroneConfig
-    estimates: Mapping[str, Estimate]
-    """Figure on each axis: the Wilson interval of the share that arrives, and Student's t interval of the means over
-    the flights that arrive. Without an arrival, there are no means."""
-    on_front: bool
-    """True if no other candidate arrives as often and is as good in every objective, and better in one."""
-
-
-@dataclass(frozen=True)
-class Importance:
-    """Share of a parameter in the difference between the best quarter of the candidates and the rest; the sum is 1."""
-
-    path: str
-    share: float
-    low: float
-    """5 % quantile over resampled candidates, at most `share`."""
-    high: float
-    """95 % quantile, at least `share`."""
-
-
-@dataclass(frozen=True)
-class StudyView:
-    """A study at one moment."""
-
-    name: str
-    finished: int
-    """Number of candidates that have finished, besides the incumbent."""
-    asked: int
-    """Number of candidates that were asked for."""
-    flights: int
-    """Number of flights so far."""
-    progress: float
-    """Share of the candidates that is done, with those in flight in part, in [0, 1]."""
-    axes: tuple[str, ...]
-    """Axes of the front, with units."""
-    points: tuple[StudyPoint, ...]
-    importance: tuple[Importance, ...]
-    """The most important parameter first; empty for fewer than eight complete candidates."""
 
 
 class StoredStudy:
