@@ -23,6 +23,7 @@ from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
+from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.viser_server import LoopEvent, serving
 from aero_viz.dashboard.visitors import Visitors
@@ -135,6 +136,8 @@ class LocalServer(viser.ViserServer):
         self._access = Access(host, allowed_hosts)
         self.visitors = Visitors()
         """Visitors of the page."""
+        self.number_fields = NumberFields()
+        """The fields that they type in."""
         self._tokens: Tokens | None = None
         """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
@@ -147,6 +150,7 @@ class LocalServer(viser.ViserServer):
                 guests=self.guests,
                 page=self,
                 visitors=self.visitors,
+                number_fields=self.number_fields,
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
@@ -166,7 +170,7 @@ class LocalServer(viser.ViserServer):
         server = self._websock_server
         server.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
         server.on_client_connect(self._prepare_client)
-        server.on_client_disconnect(lambda client: self.visitors.leave(client.client_id))  # type: ignore[arg-type]
+        server.on_client_disconnect(self._forget)
         if not self._access.is_private:
             self._tokens = Tokens(self.get_port())
         self._acknowledge_uploads_privately()
@@ -209,6 +213,10 @@ class LocalServer(viser.ViserServer):
 
     async def _prepare_client(self, client: WebsockClientConnection) -> None:
         client.get_message_buffer().message_event = LoopEvent(self.get_event_loop())
+
+    def _forget(self, client: WebsockClientConnection) -> None:
+        self.visitors.leave(client.client_id)
+        self.number_fields.leave(client.client_id)
 
     def _acknowledge_uploads_privately(self) -> None:
         """Tell only the page that uploads a file how much has arrived.

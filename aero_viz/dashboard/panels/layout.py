@@ -25,6 +25,8 @@ from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTableP
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
 from aero_viz.dashboard.panels.returning import ReturningVisitors
+from aero_viz.dashboard.panels.seeds import FlySeeds, SeedsPanel
+from aero_viz.dashboard.panels.sensitivity import SensitivityPanel
 from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
@@ -53,6 +55,7 @@ def build(
     conditions: Conditions | None = None,
     files: Files | None = None,
     study: StoredStudy | None = None,
+    fly_seeds: FlySeeds | None = None,
 ) -> tuple[CameraPanel, list[Panel]]:
     """Create all panels: the controls docked on the right, the status floating at the lower left.
 
@@ -72,6 +75,7 @@ def build(
     if controls is not None:
         actions |= {"undo": lambda _: controls.undo(), "redo": lambda _: controls.redo()}
     panels.append(open_tabs := OpenTabs(page, _TABS))
+    sources: SourcePanel | None = None
     tabs = gui.add_tab_group()
     with tabs.add_tab("Fly", viser.Icon.DRONE):
         if controls is not None and open_source is not None:
@@ -95,19 +99,18 @@ def build(
         panels.append(ChartPanel(page))
     if controls is not None:  # the frames of a drone hold too little to explain them
         with tabs.add_tab("Why", viser.Icon.QUESTION_MARK):
-            panels += [PostMortemPanel(page), WhyPanel(page, open_tabs)]
+            panels += [PostMortemPanel(page, controls), WhyPanel(page, open_tabs), SensitivityPanel(page)]
     with tabs.add_tab("Layers", viser.Icon.STACK_2) as tab:
         panels.append(layers := LayerPanel(page, tab))
         actions["layer"] = layers.toggle
     if controls is not None:
-        with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS):
+        with tabs.add_tab("Tune", viser.Icon.ADJUSTMENTS) as tune:
             baseline = Baseline.from_config(page.session.config)
-            panels += [
-                HealthPanel(page, controls),
-                ComparePanel(page, controls),
-                ConfigurationPanel(page, controls, baseline),
-            ]
-            panels.append(ParameterPanel(page, controls, baseline))
+            panels += [HealthPanel(page, controls), ComparePanel(page, controls)]
+            if sources is not None and fly_seeds is not None:
+                panels.append(SeedsPanel(page, controls, sources, fly_seeds))
+            panels.append(ConfigurationPanel(page, controls, baseline))
+            panels.append(ParameterPanel(page, controls, baseline, tune))
         if study is not None:
             with tabs.add_tab("Study", viser.Icon.CHART_DOTS):
                 panels.append(StudyPanel(page, controls, study))
