@@ -47,7 +47,7 @@ def test_the_default_takes_the_best_sample_alone_and_the_advised_temperature_men
     assert before.advice.text(frames[-1].config).startswith("Temperature lambda: 0.003 → ")
     after = flown({before.advice.path: before.advice.value})
     assert reading(after[-10:], "effective samples").is_healthy
-    size = effective_samples(plan_of(after[-1]), plan_of(after[-1]).best, before.advice.value)
+    size = effective_samples(plan_of(after[-1]), plan_of(after[-1]).best, float(before.advice.value))
     assert size > 0.03 * 128
 
 

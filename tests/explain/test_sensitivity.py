@@ -54,7 +54,7 @@ def test_it_stops_when_it_is_told_to(session):
 
 def test_another_planner_says_what_is_missing():
     session = Session(open_source("forest", seed=0), config=StraightConfig())
-    session.tick()
+    frame = session.tick()
     with pytest.raises(UserError, match="AERO-MPPI alone"):
-        sensitivity(Replanner(), session.frame, progress=lambda *_: True)
+        sensitivity(Replanner(), frame, progress=lambda *_: True)
     session.close()
