@@ -12,14 +12,15 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any
 
-import msgspec
 import viser
 
 from aero_viz.dashboard import viser_private
 from aero_viz.dashboard.message_limit import MessageLimit
+from aero_viz.dashboard.number_fields import NumberFields, typed_value
 from aero_viz.dashboard.page_messages import (
     CameraMessage,
     FormMessage,
+    NumberMessage,
     PageMessage,
     UploadPart,
     UploadStart,
@@ -29,9 +30,11 @@ from aero_viz.dashboard.page_messages import (
     decode,
     is_own,
     replaces_earlier,
+    value_message,
 )
 from aero_viz.dashboard.tokens import Role
 from aero_viz.dashboard.visitors import Visitors
+from aero_viz.errors import UserError
 from aero_viz.guests import GuestConnection
 
 _log = logging.getLogger(__name__)
@@ -47,6 +50,8 @@ _MESSAGES_IN_A_ROW = 16
 """Largest number of messages that are read from one client before the others get a turn."""
 _UNSENT_MAX = 32768
 """Largest amount of data that waits in the kernel until the network takes it [bytes]; an update has about 40 kB."""
+_REFUSAL_SECONDS = 12.0
+"""Time for which the page says why a number is refused [s]."""
 _REMINDER_PERIOD = 5.0
 """Shortest time between two reminders that a visitor cannot change the page [s]."""
 
@@ -72,6 +77,7 @@ class PageConnection(GuestConnection):
         arguments: those of `GuestConnection`.
         page: server of the page.
         visitors: visitors of the page.
+        number_fields: the fields that they type in.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
         catch_up: returns a future that is done when the session has run all commands of the page.
         options: those of `GuestConnection`.
@@ -82,6 +88,7 @@ class PageConnection(GuestConnection):
         *arguments: Any,
         page: viser.ViserServer,
         visitors: Visitors,
+        number_fields: NumberFields,
         upload_limit: int,
         catch_up: Callable[[], Future[Any]],
         **options: Any,
@@ -91,6 +98,7 @@ class PageConnection(GuestConnection):
         """Role that the link of this client gives."""
         self._page = page
         self._visitors = visitors
+        self._number_fields = number_fields
         self._reminder_due = 0.0
         self._upload_limit = upload_limit
         self._upload: UploadStart | None = None
@@ -138,7 +146,9 @@ class PageConnection(GuestConnection):
             try:
                 while not self._admitted:
                     await self._receive(decode)
-                return self._checked(*self._admitted.popleft())
+                checked = self._checked(*self._admitted.popleft())
+                if checked is not None:
+                    return checked
             except _NoControl:
                 self._remind()
             except _TooLarge:
@@ -175,20 +185,23 @@ class PageConnection(GuestConnection):
         gui = client.gui if client is not None and is_own(message, client) else self._page.gui
         return viser_private.inputs(gui).get(message.uuid)
 
-    def _checked(self, message: PageMessage, data: bytes) -> bytes:
-        """Return the message to pass on to viser. Raises ValueError unless a page may send it now."""
+    def _checked(self, message: PageMessage, data: bytes) -> bytes | None:
+        """Return the message to pass on to viser, None if there is none. Raises ValueError unless a page may send it
+        now."""
         client, number = self._client(), self._number
         assert number is not None
         if isinstance(message, CameraMessage):
             self._visitors.join(number, may_control=self.role is Role.CONTROL)
         own = is_own(message, client)
         if not own and not self._visitors.has_control(number):
-            if isinstance(message, ValueMessage):
+            if isinstance(message, (ValueMessage, NumberMessage)):
                 self._show_value(message.uuid)
             raise _NoControl
         gui = client.gui if own and client is not None else self._page.gui
         if isinstance(message, ValueMessage):
             return self._clamped(message, data, gui)
+        if isinstance(message, NumberMessage):
+            return self._typed(message, gui)
         if isinstance(message, FormMessage):
             if message.uuid not in viser_private.containers(gui):
                 raise ValueError("there is no such form")
@@ -211,8 +224,24 @@ class PageConnection(GuestConnection):
                 self._show_value(message.uuid, fitted)
         if fitted == sent:
             return data
-        message.updates.value = fitted
-        return msgspec.msgpack.encode(message)
+        return value_message(message.uuid, fitted)
+
+    def _typed(self, message: NumberMessage, gui: viser.GuiApi) -> bytes | None:
+        """Return the message that sets a number which was typed, None before it counts and where it is refused."""
+        control, client = viser_private.inputs(gui).get(message.uuid), self._client()
+        if not message.is_over:
+            self._number_fields.type(self._number, control)
+            return None
+        self._number_fields.leave(self._number, with_number=message.text is not None)
+        if message.text is None:
+            return None
+        try:
+            return value_message(message.uuid, typed_value(control, message.index, message.text))
+        except UserError as error:
+            self._show_value(message.uuid)
+            if client is not None:
+                client.add_notification("Not taken", str(error), color="red", auto_close_seconds=_REFUSAL_SECONDS)
+            return None
 
     def _show_value(self, uuid: str, value: Any = None) -> None:
         """Make this client's page show a value of a shared control: `value`, or the control's own."""
@@ -223,7 +252,7 @@ class PageConnection(GuestConnection):
             or isinstance(control, viser.GuiButtonHandle)
         ):
             return
-        viser_private.show_value(client, uuid, control.value if value is None else value)
+        viser_private.show(client, uuid, value=control.value if value is None else value)
 
     def _remind(self) -> None:
         """Tell a visitor without control how to change a shared control."""

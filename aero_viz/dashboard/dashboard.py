@@ -29,6 +29,7 @@ from aero_viz.dashboard.layers import (
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import Offer, build
+from aero_viz.dashboard.panels.seeds import FlySeeds
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
@@ -62,6 +63,7 @@ class Dashboard:
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
+        fly_seeds: flies two configurations through other seeds, such as `evaluation.paired_seeds.fly_seeds`.
         server: web server to use; None starts one with `host`, `port` and `allowed_hosts`, which are ignored otherwise.
         drawn: layers that the server shows already, see `show_first_picture`.
 
@@ -88,12 +90,14 @@ class Dashboard:
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: Study | None = None,
+        fly_seeds: FlySeeds | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:
         self.server = server or LocalServer(host=host, port=port, allowed_hosts=allowed_hosts, embedders=embedders)
         """The web server."""
         self.server.catch_up = session.catch_up
+        self.server.number_fields.on_waiting = self.refresh
         drawable = LAYERS.values() if layers is None else layers
         kinds = [kind for kind in drawable if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer]
@@ -120,7 +124,7 @@ class Dashboard:
             self.layers = {kind.name: known.get(kind) or kind(self.server) for kind in kinds}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
-                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study)
+                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study, fly_seeds)
                 self._camera, self.panels = build(self._page, offer)
             else:
                 self._camera = CameraPanel(self._page)
@@ -252,7 +256,7 @@ class Dashboard:
             for sender in (self.server, *clients):
                 stack.callback(sender.flush)
                 stack.enter_context(sender.atomic())
-            apply(changes, computed_at=computed_at)
+            apply(self.server.number_fields.admit(changes), computed_at=computed_at)
         ended = time.perf_counter()
         self.update_ms.append(1e3 * (ended - started))
         playing = self._session.playing

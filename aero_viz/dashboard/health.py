@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Plan, PlannerConfig
 from aero_planner.config import DroneConfig
+from aero_viz.dashboard.advice import Advice
 from aero_viz.dashboard.history import effective_samples
 from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
@@ -21,18 +22,6 @@ _MODEL = "ctbr"
 """Vehicle model whose controls have bounds of their own."""
 _AT_BOUND = 1e-3
 """Distance to a bound from which a control is at it [N, rad/s]."""
-
-
-@dataclass(frozen=True)
-class Advice:
-    """A change of one parameter that is worth trying."""
-
-    path: str
-    value: float
-
-    def text(self, config: DroneConfig) -> str:
-        """Return the change in words."""
-        return f"Try {config.find(self.path).title}: {config.get(self.path):g} → {self.value:g}"
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,17 @@ class ValueMessage(PageMessage, tag="GuiUpdateMessage"):
     updates: _Value
 
 
+class NumberMessage(PageMessage, tag="AeroNumberMessage"):
+    """What a visitor types into a number field, from the script in `number_fields.py`; viser has no such message."""
+
+    uuid: Name
+    index: Annotated[int, msgspec.Meta(ge=0)]
+    """Component of a vector."""
+    text: Name | None
+    """The text that counts, None while it is typed or if it was given up."""
+    is_over: bool
+
+
 class FormMessage(PageMessage, tag="GuiFormDirtyMessage"):
     """A change in a form, which the server tells all other pages."""
 
@@ -149,9 +160,9 @@ class _Pointer(PageMessage, tag="ScenePointerMessage"):
 
 
 MESSAGES: Any = (
-    CameraMessage | ValueMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart | UploadPart
-    | _Rendering | _StoredItem | _ShareRequest | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick | _NodeDrag
-    | _Pointer
+    CameraMessage | ValueMessage | NumberMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart
+    | UploadPart | _Rendering | _StoredItem | _ShareRequest | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick
+    | _NodeDrag | _Pointer
 )  # fmt: skip
 _decoder = msgspec.msgpack.Decoder(MESSAGES)
 
@@ -182,7 +193,7 @@ def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
         return True
     if client is None:
         return False
-    if isinstance(message, (ValueMessage, _ButtonHold)):
+    if isinstance(message, (ValueMessage, NumberMessage, _ButtonHold)):
         return message.uuid in inputs(client.gui)
     if isinstance(message, FormMessage):
         return message.uuid in containers(client.gui)
@@ -191,6 +202,11 @@ def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
     if isinstance(message, (UploadStart, UploadPart)):
         return message.source_component_uuid in inputs(client.gui)
     return getattr(message, "owner", "") == str(client.client_id)
+
+
+def value_message(uuid: str, value: Any) -> bytes:
+    """Return the message by which a page of viser sets the value of a control."""
+    return msgspec.msgpack.encode(ValueMessage(uuid, _Value(value)))
 
 
 def control_name(message: PageMessage) -> str | None:

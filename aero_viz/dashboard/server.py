@@ -21,6 +21,7 @@ from websockets.asyncio.server import ServerConnection
 
 from aero_viz.dashboard import palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
+from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
@@ -134,6 +135,8 @@ class LocalServer(viser.ViserServer):
         self._access = Access(host, allowed_hosts, embedders=embedders)
         self.visitors = Visitors()
         """Visitors of the page."""
+        self.number_fields = NumberFields()
+        """The fields that they type in."""
         self._tokens: Tokens | None = None
         """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
@@ -146,6 +149,7 @@ class LocalServer(viser.ViserServer):
                 guests=self.guests,
                 page=self,
                 visitors=self.visitors,
+                number_fields=self.number_fields,
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
@@ -162,7 +166,7 @@ class LocalServer(viser.ViserServer):
             self.stop()
             raise _busy(host, port)
         report_briefly(self.get_event_loop())
-        viser_private.mend(self, on_leave=self.visitors.leave)
+        viser_private.mend(self, on_leave=self._forget)
         if not self._access.is_private:
             self._tokens = Tokens(self.get_port())
         self._style()
@@ -205,6 +209,10 @@ class LocalServer(viser.ViserServer):
         """Let a client send a picture while the context is open."""
         connection = viser_private.connections(self).get(client.client_id)
         return connection.rendering() if isinstance(connection, PageConnection) else contextlib.nullcontext()
+
+    def _forget(self, client: int) -> None:
+        self.visitors.leave(client)
+        self.number_fields.leave(client)
 
     def hide_upload(self, client: viser.ClientHandle) -> None:
         """Remove the notification that a client's last upload was successful, since its file is refused."""

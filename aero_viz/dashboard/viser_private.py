@@ -77,9 +77,9 @@ def run_script(target: viser.ClientHandle | viser.ViserServer, source: str) -> N
     sender.queue_message(_messages.RunJavascriptMessage(source))
 
 
-def show_value(client: viser.ClientHandle, identifier: str, value: Any) -> None:
-    """Make one client's page show a value of a shared control."""
-    client._websock_connection.queue_message(_messages.GuiUpdateMessage(identifier, {"value": value}))
+def show(client: viser.ClientHandle, identifier: str, **properties: Any) -> None:
+    """Make one client's page show other properties of a shared control, such as its value."""
+    client._websock_connection.queue_message(_messages.GuiUpdateMessage(identifier, properties))
 
 
 def end_upload(client: viser.ClientHandle, button: str, transfer: str, size: int) -> None:

@@ -76,7 +76,7 @@ def _solids(fitted: FittedWorld, pixel: float) -> tuple[NDArray[np.float64], NDA
 
 
 def _view(points, colors, low, high, pixel: float, axes: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the orthographic view along the third axis [rows, columns, 3]; what is nearer to the eye covers the rest."""
+    """Return the orthographic view along the third axis [rows, columns, 3]; the nearest covers the rest."""
     across, up = axes
     depth = 3 - across - up
     order = np.argsort(points[:, depth] if depth == 2 else -points[:, depth], kind="stable")

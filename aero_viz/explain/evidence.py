@@ -85,6 +85,20 @@ class Replanner:
         Raises:
             UserError: the tick of the frame cannot be repeated, such as one that a drone has sent.
         """
+        plan, planner = self._planned(frame)
+        full = ensemble(plan)
+        if full is not None and isinstance(planner, AeroMppi):
+            return _evidence(frame, full, planner.core)
+        judged = planner.judge(plan)
+        is_safe = known_safe(dataclasses.replace(frame, plan=plan)) if judged is None else judged
+        return PlanEvidence(frame, plan, _equal(plan, frame.plan), is_safe)
+
+    def plan(self, frame: Frame) -> AnyPlan:
+        """Return the plan that the configuration of a frame makes at its tick, with its history; errors as above."""
+        return self._planned(frame)[0]
+
+    def _planned(self, frame: Frame) -> tuple[AnyPlan, Planner]:
+        """Return the plan of a frame, and the planner that has made it."""
         if frame.checkpoint is None:
             raise UserError(
                 "This plan cannot be explained term by term: the drone sends neither its samples nor the state of its "
@@ -92,15 +106,9 @@ class Replanner:
             )
         planner = self._restored(frame)
         try:
-            plan = planner.attempt(frame.observation)
+            return planner.attempt(frame.observation), planner
         except PlannerError as error:
             raise UserError(str(error)) from error
-        full = ensemble(plan)
-        if full is not None and isinstance(planner, AeroMppi):
-            return _evidence(frame, full, planner.core)
-        judged = planner.judge(plan)
-        is_safe = known_safe(dataclasses.replace(frame, plan=plan)) if judged is None else judged
-        return PlanEvidence(frame, plan, _equal(plan, frame.plan), is_safe)
 
     def braking(self, frame: Frame, state: VehicleState) -> BrakingCandidates | None:
         """Return the braking candidates at the tick of a frame, which has a checkpoint, from another state.

@@ -7,6 +7,7 @@ from small_source import small_config, small_source
 
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import palette
+from aero_viz.flight import FlightSource
 from tests.browser.desk import COARSE, open_desk
 from tests.browser.pictures import count
 
@@ -61,6 +62,31 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.click("Stop comparing")
         desk.page.get_by_role("button", name="Compare: pin as A").wait_for()
         desk.wait_for(lambda: pink(desk) == 0, "no ghost")
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def test_both_fly_other_seeds_while_the_page_goes_on(browser):
+    def opener(spec: str, **options: Any) -> FlightSource:
+        return small_source(goal=2.0)
+
+    source, config = small_source(goal=2.0), small_config()
+    with open_desk(browser, source, ticks=3, config=config, resolution=COARSE, layers=["drone"], opener=opener) as desk:
+        session: Any = desk.session
+        desk.open_tab("Tune")
+        assert not desk.page.get_by_role("button", name="Fly 10 seeds").is_visible(), "nothing is pinned"
+        desk.click("Compare: pin as A")
+        session.configure({"vehicle.speed_limit": 2.0})
+        desk.click("Fly 10 seeds")
+        table, index = desk.page.locator(".aero-seeds"), session.frame.index
+        table.get_by_text("1 of 10 seeds").wait_for()
+        assert "95 % interval" in table.inner_text() and "1 of 1" in table.inner_text()
+        desk.click("+1")
+        desk.wait_for(lambda: session.frame.index == index + 1, "a tick meanwhile")
+        table.get_by_text("2 of 10 seeds").wait_for()
+        desk.page.get_by_text("Where both do, B takes +").wait_for()
+        desk.click("Stop flying seeds")
+        desk.page.get_by_role("button", name="Fly 10 seeds").wait_for()
+        assert "2 of 10 seeds" in table.inner_text() or "3 of 10 seeds" in table.inner_text(), "what was flown stays"
         assert desk.console == [] and desk.dashboard.failures == 0
 
 

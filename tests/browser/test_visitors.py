@@ -81,6 +81,21 @@ def test_the_line_about_the_visitors_leaves_room_for_the_controls(desk: Desk, se
         desk.wait_for(lambda page=page: page.evaluate(hidden) <= 0, "the panel to fit")
 
 
+def test_a_search_belongs_to_its_visitor_and_needs_no_control(desk: Desk, second: Page):
+    for page in (desk.page, second):
+        page.get_by_role("tab", name="Tune").click()
+        page.get_by_text("Goal position weight").first.wait_for()
+    search = second.locator("label", has_text="Search").locator("xpath=ancestor::div[contains(@class, 'Flex')][1]")
+    search.locator("input").fill("decay rate")
+    second.get_by_text("Goal position weight").first.wait_for(state="detached")
+    second.get_by_text("Decay").first.wait_for()
+    assert desk.control("Search").locator("input").input_value() == ""
+    assert desk.page.get_by_text("Goal position weight").first.is_visible()
+    assert desk.page.get_by_text("Decay").count() == 0
+    search.locator("input").fill("")
+    second.get_by_text("Goal position weight").first.wait_for()
+
+
 def test_layers_and_camera_belong_to_each_visitor(desk: Desk, second: Page):
     cells = desk.dashboard.layers["coarse_cells"]
     assert not cells.visible

@@ -146,6 +146,31 @@ def test_a_failed_flight_has_a_report_that_leads_to_the_tick_in_question(desk):
     assert f"braking would have worked is {desk.session.frame.time:.2f} s" in report.inner_text()
 
 
+def test_the_live_parameters_that_change_a_frozen_tick_are_listed(desk):
+    desk.click("Sensitivity of this tick")
+    table = desk.page.locator(".aero-sensitivity")
+    table.wait_for()
+    assert f"plan at {desk.session.frame.time:.2f} s" in table.inner_text() and "+20%" in table.inner_text()
+    assert 1 <= table.locator("[title*='.']").count() <= 10, "a row for each of the strongest"
+    desk.page.get_by_role("button", name="Sensitivity of this tick", disabled=False).wait_for()
+
+
+def test_a_change_against_the_cause_is_applied_and_the_same_seed_flown_again(desk):
+    session, info = desk.session, desk.session.frame.source
+    assert "paused" in desk.page.locator("body").inner_text()
+    before = session.config
+    times = []
+    sink = session.subscribe(lambda frame: times.append(frame.time), every=True, name="test")
+    desk.page.get_by_role("button", name="Speed limit [m/s]:").click()
+    desk.wait_for(lambda: session.playing and 0.0 in times, "a flight from the beginning")
+    session.pause()
+    session.unsubscribe(sink)
+    changed = before.differences(session.config)
+    assert list(changed) == ["vehicle.speed_limit"] and changed["vehicle.speed_limit"][1] < 7.0
+    assert session.frame.source is info, "the same flight"
+    session.step(0).result()
+
+
 def test_it_goes_on_while_the_flight_runs_and_stops_when_it_is_switched_off(desk):
     desk.session.step(5).result()
     desk.wait_for(lambda: desk.page.locator(".aero-verdict").count() == 1, "the card of a later tick")

@@ -44,10 +44,10 @@ def test_the_default_takes_the_best_sample_alone_and_the_advised_temperature_men
     assert not before.is_healthy and before.advice is not None and "raise the temperature" in before.meaning
     assert float(before.value.split()[0]) < 2.0
     assert before.advice.path == "sampling.temperature"
-    assert before.advice.text(frames[-1].config).startswith("Try Temperature lambda: 0.003 → ")
+    assert before.advice.text(frames[-1].config).startswith("Temperature lambda: 0.003 → ")
     after = flown({before.advice.path: before.advice.value})
     assert reading(after[-10:], "effective samples").is_healthy
-    size = effective_samples(plan_of(after[-1]), plan_of(after[-1]).best, before.advice.value)
+    size = effective_samples(plan_of(after[-1]), plan_of(after[-1]).best, float(before.advice.value))
     assert size > 0.03 * 128
 
 
@@ -127,7 +127,7 @@ def test_of_another_planner_the_figures_are_those_that_hold_for_every_plan(confi
     unsafe = [dataclasses.replace(frame, is_safe=np.zeros(len(frame.plan.kinds), dtype=np.bool_)) for frame in frames]
     advice = reading(unsafe, "safe candidates").advice
     assert advice is not None and config.replace({advice.path: advice.value}) != config
-    assert advice.text(config).startswith("Try Speed limit [m/s]: ")
+    assert advice.text(config).startswith("Speed limit [m/s]: ")
 
 
 def test_what_is_unknown_or_no_choice_is_no_figure():

@@ -11,12 +11,12 @@ from typing import Any, ClassVar
 
 import viser
 
-from aero_planner.config import DroneConfig
+from aero_planner.config import DroneConfig, Value
 from aero_viz.dashboard.history import FlightHistory
 from aero_viz.dashboard.layers import Change, Layer
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.errors import UserError
-from aero_viz.flight.known_drone import config_for_flight
+from aero_viz.flight.known_drone import config_for_flight, facts_after
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
@@ -78,6 +78,18 @@ class Page:
         """Return `config` with the facts of the flight that is shown."""
         frame = self.session.frame
         return config if frame is None else config_for_flight(config, frame.source)
+
+    def with_facts(self, changes: Mapping[str, Value], *, is_reset: bool = False) -> dict[str, Value]:
+        """Return changes of parameters, and the facts of the flight that depend on them.
+
+        A fact that is reset is known again, and one that is entered is used as it is.
+
+        Raises:
+            ValueError: a parameter is unknown or out of its bounds.
+        """
+        frame = self.session.frame
+        facts = {} if frame is None else facts_after(changes, config=self.session.config, flight=frame.source)
+        return {**changes, **facts} if is_reset else {**facts, **changes}
 
     def attempt(self, action: Callable[[], Any], client: viser.ClientHandle | None = None) -> bool:
         """Run `action` and return True if it succeeded. A failure is shown to `client`, or to everyone."""

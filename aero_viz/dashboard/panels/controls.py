@@ -49,10 +49,6 @@ class Control(ABC):
         """Return a value in few words."""
         return str(value)
 
-    def disturb(self) -> list[Change]:
-        """Return the changes that let the page show another number for a moment; none without a number field."""
-        return []
-
     @abstractmethod
     def on_change(self, callback: ChangeCallback) -> None:
         """Call `callback` whenever a user changes the value."""
@@ -172,9 +168,6 @@ class SliderControl(Control):
     @property
     def handles(self) -> Sequence[Any]:
         return (self.number, self.slider)
-
-    def disturb(self) -> list[Change]:
-        return [(self.number, "value", self.number.value * (1.0 + 1e-6) + 1e-6)]
 
     def on_change(self, callback: ChangeCallback) -> None:
         def take_slider(client: viser.ClientHandle) -> None:

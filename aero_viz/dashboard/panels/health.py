@@ -8,7 +8,8 @@ from collections import deque
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.health import Advice, Reading, readings
+from aero_viz.dashboard.advice import Advice
+from aero_viz.dashboard.health import Reading, readings
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
@@ -46,7 +47,10 @@ class HealthPanel(Panel):
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
             if (advice := self._offered[number]) is not None:
-                self.page.attempt(lambda: self._controls.configure({advice.path: advice.value}), event.client)
+                self.page.attempt(lambda: self._try(advice), event.client)
+
+    def _try(self, advice: Advice) -> None:
+        self._controls.configure(self.page.with_facts({advice.path: advice.value}))
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self._frames.clear()
@@ -69,7 +73,7 @@ class HealthPanel(Panel):
             self._offered[number] = advice = found[number].advice if number < len(found) else None
             changes.append((button, "visible", advice is not None))
             if advice is not None:
-                changes.append((button, "label", advice.text(frame.config)))
+                changes.append((button, "label", f"Try {advice.text(frame.config)}"))
         return changes
 
 

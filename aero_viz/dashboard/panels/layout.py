@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import viser
@@ -26,6 +26,8 @@ from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTableP
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
 from aero_viz.dashboard.panels.returning import ReturningVisitors
+from aero_viz.dashboard.panels.seeds import FlySeeds, SeedsPanel
+from aero_viz.dashboard.panels.sensitivity import SensitivityPanel
 from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
 from aero_viz.dashboard.panels.source import SourcePanel
@@ -53,6 +55,7 @@ class Offer:
     conditions: Conditions | None = None
     files: Files | None = None
     study: Study | None = None
+    fly_seeds: FlySeeds | None = None
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,8 @@ class Desk:
     open_tabs: OpenTabs
     actions: dict[str, Action]
     """What keys do, by name; a tab adds its own."""
+    sources: list[SourcePanel] = field(default_factory=list)
+    """The panel that opens sources, once its tab is built."""
 
     @property
     def controls(self) -> SessionControls:
@@ -100,6 +105,7 @@ def _fly(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
             options: dict[str, Any] = {"seed": offer.seed, "opened": offer.opened, "conditions": offer.conditions}
             sources = SourcePanel(page, controls, offer.open_source, offer.choices, offer.folders, **options)
             panels.append(sources)
+            desk.sources.append(sources)
         if offer.files is not None:
             with gui.add_folder("Share", expand_by_default=False):
                 copies = PageCopies(page, desk.camera)
@@ -118,7 +124,7 @@ def _world(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
 
 
 def _why(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
-    return [PostMortemPanel(desk.page), WhyPanel(desk.page, desk.open_tabs)]
+    return [PostMortemPanel(desk.page, desk.controls), WhyPanel(desk.page, desk.open_tabs), SensitivityPanel(desk.page)]
 
 
 def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
@@ -127,15 +133,13 @@ def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
     return [panel]
 
 
-def _tune(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
-    page, controls = desk.page, desk.controls
+def _tune(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
+    page, controls, fly_seeds = desk.page, desk.controls, desk.offer.fly_seeds
     baseline = Baseline.from_config(page.session.config)
-    return [
-        HealthPanel(page, controls),
-        ComparePanel(page, controls),
-        ConfigurationPanel(page, controls, baseline),
-        ParameterPanel(page, controls, baseline),
-    ]
+    panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls)]
+    if fly_seeds is not None:
+        panels += [SeedsPanel(page, controls, sources, fly_seeds) for sources in desk.sources]
+    return [*panels, ConfigurationPanel(page, controls, baseline), ParameterPanel(page, controls, baseline, tab)]
 
 
 def _study(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:

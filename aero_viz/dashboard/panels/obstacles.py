@@ -160,8 +160,6 @@ class ObstaclePanel(Panel):
             if event.client is not None:
                 self._touched.begin()
                 value = control.value
-                if control is self._size and 0.0 in value:
-                    return  # somebody begins to type 0.4
                 with self._lock:
                     self._typed[self._selected, control.label] = lambda obstacle: change(obstacle, value)
                 self._numbers.put(None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import viser
 
@@ -18,6 +19,8 @@ CHANGED_CLASS = "aero-changed"
 
 class ParameterRow:
     """A control with a mark before it and a button below it, which are visible while the value differs.
+
+    All visitors share it; whether one sees it is up to `visibility`. At first, everyone sees the basic parameters.
 
     Args:
         gui: where to add them.
@@ -42,7 +45,9 @@ class ParameterRow:
         self._reset = gui.add_button_group("", ("reset",), hint=f"Return {info.path} to the preset.", visible=False)
         self._words = _plain(f"{info.path} {info.title} {info.group} {info.help}")
         self._refusal = ""
-        self._is_visible = True
+        self._is_marked = self._differs = False
+        for handle in self.control.handles:
+            handle.visible = info.basic
         if on_change is not None:
             self.control.on_change(lambda client: on_change(self, client))
 
@@ -58,23 +63,27 @@ class ParameterRow:
         """Show why a value was refused, until the next call; empty shows nothing."""
         self._refusal = reason
 
-    def show(self, value: Value, preset: Value, *, visible: bool) -> list[Change]:
+    def show(self, value: Value, preset: Value) -> list[Change]:
         """Return the changes that show the value and how it differs from the preset."""
-        differs = value != preset
+        self._differs = value != preset
         refusal = f'<div style="color:{markup.ink(palette.BAD)};font-size:11px;padding:2px 12px">{{}}</div>'
         content = refusal.format(markup.text(self._refusal)) if self._refusal else ""
-        if differs:
+        if self._differs:
             content += f'<i class="{CHANGED_CLASS}"></i>'
-        changes: list[Change] = [
+        self._is_marked = bool(content)
+        return [
             (self._mark, "content", content),
-            (self._mark, "visible", visible and bool(content)),
             (self._reset, "label", f"was {self.control.describe(preset)}"),
-            (self._reset, "visible", visible and differs),
+            *self.control.show(value),
         ]
-        if visible != self._is_visible:
-            self._is_visible = visible
-            changes += [(handle, "visible", visible) for handle in self.control.handles]
-        return [*changes, *self.control.show(value)]
+
+    def visibility(self, is_visible: bool) -> list[tuple[Any, bool]]:
+        """Return which of the elements a visitor sees who sees the row, or does not."""
+        return [
+            (self._mark, is_visible and self._is_marked),
+            (self._reset, is_visible and self._differs),
+            *((handle, is_visible) for handle in self.control.handles),
+        ]
 
 
 def _plain(text: str) -> str:

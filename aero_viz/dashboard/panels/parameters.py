@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Sequence
+import threading
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import viser
 
-from aero_planner.config import DroneConfig
-from aero_viz.dashboard.layers import Change, apply
+from aero_planner.config import DroneConfig, Value
+from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.own_view import OwnView
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
+from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.configuration import Baseline
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
-from aero_viz.flight.known_drone import config_without_facts, facts_after
+from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
 _RESET_HINT = "Return these parameters to the preset."
+_SEARCH_HINT = "Words of a name, a symbol, a group or an explanation."
 _SHOW = ("basic", "expert", "changed")
 _SHOW_HINT = (
     "basic: the few parameters that are tuned first, and what differs from the preset; expert: all; changed: only what "
@@ -32,35 +35,54 @@ class _Group:
     rows: Sequence[ParameterRow]
 
 
+@dataclass
+class _Search:
+    """What one visitor searches for."""
+
+    text: viser.GuiTextHandle
+    level: viser.GuiDropdownHandle[Any]
+    view: OwnView
+    shown: tuple[int, str, str] | None = None
+    """What the view shows: version of the values, text and level."""
+
+
 class ParameterPanel(Panel):
     """Controls that show the configuration of the session, whoever changes it, in a folder per group of parameters.
 
-    Live parameters act at once. Those that size the planner's buffers are applied together with a button.
+    Live parameters act at once. Those that size the planner's buffers are applied together with a button. Each visitor
+    has a search of its own.
 
     Args:
         page: page of the panel.
         session_controls: commands of the session.
         baseline: preset that the page compares the configuration with.
+        tab: where the controls are added.
     """
 
-    def __init__(self, page: Page, session_controls: SessionControls, baseline: Baseline) -> None:
+    def __init__(
+        self, page: Page, session_controls: SessionControls, baseline: Baseline, tab: viser.GuiTabHandle
+    ) -> None:
         self._session_controls = session_controls
         self._baseline = baseline
+        self._tab = tab
+        self._lock = threading.Lock()
+        """Only one thread may add controls to a tab at a time."""
+        self._searches: dict[int, _Search] = {}
         self._shown: tuple[object, ...] | None = None
         self._refused: tuple[object, ...] | None = None
         """Configuration, preset and source at the last refusal, which is shown until one of them changes."""
         self._groups: list[_Group] = []
+        self._different: set[str] = set()
+        """Paths of the parameters that differ from the preset."""
+        self._version = 0
+        """Number of times that the values were shown."""
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
-        self._search = gui.add_text("Search", "", hint="Words of a name, a symbol, a group or an explanation.")
-        self._level = gui.add_dropdown("Show", _SHOW, initial_value="basic", hint=_SHOW_HINT)
         self._none = gui.add_html(markup.note("No parameter matches."), visible=False)
-        for handle in (self._search, self._level):
-            handle.on_update(self._refresh)
         live = [info for info in self.session.config.parameters() if info.live]
         for group in dict.fromkeys(info.group for info in live):
-            with gui.add_folder(group) as folder:
+            with gui.add_folder(group, visible=any(info.basic for info in live if info.group == group)) as folder:
                 rows = [
                     ParameterRow(
                         gui, info, self.session.config.get(info.path), on_change=self._take, on_reset=self._reset
@@ -76,7 +98,7 @@ class ParameterPanel(Panel):
         self._create_structure(gui)
 
     def _create_structure(self, gui: viser.GuiApi) -> None:
-        # No form: Enter would submit it, and viser drops a number that was typed in the 50 ms before.
+        # No form: Enter would submit it.
         with gui.add_folder("Structure") as folder:
             rows = [
                 ParameterRow(gui, info, self.session.config.get(info.path), on_change=None, on_reset=self._reset)
@@ -89,88 +111,100 @@ class ParameterPanel(Panel):
 
         @apply.on_click
         async def _(event: viser.GuiEvent) -> None:
-            await asyncio.sleep(TYPING_DELAY)
             self._configure(rows, {row.info.path: row.control.value for row in rows}, event.client)
+
+    def welcome(self, client: viser.ClientHandle) -> None:
+        order, gui = self._none.order, client.gui
+        with self._lock, self._tab:
+            text = gui.add_text("Search", "", hint=_SEARCH_HINT, order=order - 0.2)
+            level = gui.add_dropdown("Show", _SHOW, initial_value="basic", hint=_SHOW_HINT, order=order - 0.1)
+            self._searches[client.client_id] = _Search(text, level, OwnView(client))
+        for handle in (text, level):
+            handle.on_update(self._refresh)
+
+    def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
+        for number in set(self._searches) - set(clients):
+            self._searches.pop(number, None)
 
     async def _refresh(self, _: viser.GuiEvent) -> None:
         self.page.refresh()
 
     def update(self, frame: Frame) -> list[Change]:
-        config, query, level = self.session.config, self._search.value.strip(), self._level.value
-        shown = (config, self._baseline.config, frame.source, query, level)
-        if shown == self._shown:
-            return []
-        self._shown, preset = shown, self._baseline.config
-        if self._refused is not None and self._refused != shown[:3]:
-            self._refused = None
-            for row in (row for group in self._groups for row in group.rows):
-                row.refuse("")
+        changes: list[Change] = []
+        shown = (self.session.config, self._baseline.config, frame.source)
+        if shown != self._shown:
+            self._shown, self._version = shown, self._version + 1
+            if self._refused is not None and self._refused != shown:
+                self._refused = None
+                for row in (row for group in self._groups for row in group.rows):
+                    row.refuse("")
+            changes = self._show_values(frame)
+        for search in list(self._searches.values()):
+            wanted = (self._version, search.text.value.strip(), search.level.value)
+            if wanted != search.shown:
+                search.shown = wanted
+                changes += search.view.show(self._matching(*wanted[1:]))
+        return changes
+
+    def _show_values(self, frame: Frame) -> list[Change]:
+        """Return the changes that show all values, and which differ from the preset."""
+        config, preset = self.session.config, self._baseline.config
         plain = config_without_facts(config, frame.source)
         changes: list[Change] = []
+        self._different.clear()
+        for row in (row for group in self._groups for row in group.rows):
+            path = row.info.path
+            if plain.get(path) != preset.get(path):
+                self._different.add(path)
+            value = config.get(path)
+            changes += row.show(value, preset.get(path) if path in self._different else value)
+        return changes
+
+    def _matching(self, query: str, level: str) -> list[tuple[Any, bool]]:
+        """Return which elements a visitor sees with a search and a level."""
+        visible: list[tuple[Any, bool]] = []
         is_any = False
         for group in self._groups:
-            are_visible = []
-            for row in group.rows:
-                value, default = config.get(row.info.path), preset.get(row.info.path)
-                differs = plain.get(row.info.path) != default
-                is_visible = row.matches(query) if query else self._is_shown(row, level, differs=differs)
-                changes += row.show(value, default if differs else value, visible=is_visible)
-                are_visible.append(is_visible)
-            changes.append((group.folder, "visible", any(are_visible)))
+            are_visible = [row.matches(query) if query else self._is_shown(row, level) for row in group.rows]
+            for row, is_visible in zip(group.rows, are_visible, strict=True):
+                visible += row.visibility(is_visible)
+            visible.append((group.folder, any(are_visible)))
             is_any = is_any or any(are_visible)
-        return [*changes, (self._none, "visible", not is_any)]
+        return [*visible, (self._none, not is_any)]
 
-    def _is_shown(self, row: ParameterRow, level: str, *, differs: bool) -> bool:
-        return differs or level == "expert" or (level == "basic" and row.info.basic)
+    def _is_shown(self, row: ParameterRow, level: str) -> bool:
+        return row.info.path in self._different or level == "expert" or (level == "basic" and row.info.basic)
 
     def _take(self, row: ParameterRow, client: viser.ClientHandle) -> None:
         self._configure([row], {row.info.path: row.control.value}, client)
 
     def _reset(self, row: ParameterRow, client: viser.ClientHandle | None) -> None:
-        self._refill([row])
         self._return_to_preset([row], client)
 
     def _on_reset(self, button: viser.GuiButtonHandle, rows: Sequence[ParameterRow]) -> None:
         @button.on_click
         async def _(event: viser.GuiEvent) -> None:
-            self._refill(rows)
             self._return_to_preset(rows, event.client)
 
-    def _refill(self, rows: Sequence[ParameterRow]) -> None:
-        """Let fields that were cleared on a page show their numbers again.
-
-        The page does not report a cleared field, and ignores a number that it believes to show.
-        """
-        for row in rows:
-            apply(row.control.disturb())
-        self.page.server.flush()
-        self._shown = None
-        self.page.refresh_after(TYPING_DELAY)
-
     def _return_to_preset(self, rows: Sequence[ParameterRow], client: viser.ClientHandle | None) -> None:
-        changes: dict[str, object] = {row.info.path: self._baseline.config.get(row.info.path) for row in rows}
+        changes: dict[str, Value] = {row.info.path: self._baseline.config.get(row.info.path) for row in rows}
         self._configure(rows, changes, client, is_reset=True)
 
     def _configure(
         self,
         rows: Sequence[ParameterRow],
-        changes: dict[str, object],
+        changes: dict[str, Value],
         client: viser.ClientHandle | None,
         *,
         is_reset: bool = False,
     ) -> None:
-        """Change some parameters; if the change is refused, show the values that stay, and the reason.
-
-        Facts of the flight that depend on these parameters change with them. A fact that is reset is known again, and
-        one that is entered is used as it is.
-        """
-        reason, frame = "", self.session.frame
+        """Change some parameters; if the change is refused, show the values that stay, and the reason."""
+        reason = ""
 
         def configure() -> None:
             nonlocal reason
             try:
-                facts = {} if frame is None else facts_after(changes, config=self.session.config, flight=frame.source)
-                self._session_controls.configure({**changes, **facts} if is_reset else {**facts, **changes})
+                self._session_controls.configure(self.page.with_facts(changes, is_reset=is_reset))
             except ValueError as error:
                 reason = str(error)
                 raise

@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 
 import viser
 
+from aero_viz.dashboard import number_fields
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.keys import KEYS, LISTENER, Key, rows
@@ -35,6 +36,7 @@ class ShortcutPanel(Panel):
     def welcome(self, client: viser.ClientHandle) -> None:
         self._register(client.gui, own=True)
         run_script(client, LISTENER)
+        run_script(client, number_fields.LISTENER)
 
     def _register(self, gui: viser.GuiApi, *, own: bool) -> None:
         for key in KEYS:

@@ -170,6 +170,16 @@ class SourcePanel(Panel):
         self._closed = True
         self.cancel()
 
+    def reopen(self, seed: int) -> Source:
+        """Return the source that is open, opened once more with another seed and the same conditions.
+
+        Raises:
+            UserError: it cannot be opened any more.
+        """
+        conditions = self.opening.conditions
+        options: dict[str, Any] = {} if conditions is None else {"conditions": conditions}
+        return self._open_source(self._opened, seed=seed, **options)
+
     async def _start_opening(self, read_spec: Callable[[], str], client: viser.ClientHandle | None) -> None:
         """Open a source on a daemon thread. The program would wait for viser's thread pool at exit."""
         cancellations = self._cancellations
