@@ -110,7 +110,7 @@ def test_a_map_that_is_too_wide_is_refused_with_the_number_of_stray_points(hall,
 
 @pytest.mark.parametrize("place", [1e11, -1e300])
 def test_a_map_or_cloud_whose_coordinates_have_lost_their_digits_is_refused(hall, tmp_path, place):
-    far = save(tmp_path / "far.npy", np.load(hall) + [0.0, place, 0.0])
+    far = save(tmp_path / "far.npy", np.load(hall) + np.array([0.0, place, 0.0]))
     for read in (load_map, open_recording):
         with pytest.raises(UserError, match=r"far.npy lies at y = .* move it to its origin"):
             read(far)
