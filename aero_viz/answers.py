@@ -61,9 +61,7 @@ def encode(value: Any, files: Sequence[Any] = ()) -> bytes:
             raise TypeError(f"a value of the type {name} is no answer")
         if isinstance(value, enum.Enum):
             return ["enum", name, value.name]
-        items = (
-            value if isinstance(value, tuple) else [getattr(value, field.name) for field in _fields(kind)]
-        )
+        items = value if isinstance(value, tuple) else [getattr(value, field.name) for field in _fields(kind)]
         return ["record", name, *map(pack, items)]
 
     return msgspec.msgpack.encode(pack(value))
