@@ -44,6 +44,8 @@ MAP_CELLS_MAX = 25_000_000
 """Largest number of cells of the search for a start and a goal in a map."""
 MAP_SPAN_MAX = 20_000.0
 """Largest extent of a map along any axis [m]."""
+COORDINATE_MAX = 1e9
+"""Largest distance of a map or a cloud from the origin of its coordinates [m]; farther away they lose millimetres."""
 IMAGE_PIXELS_MAX = 25_000_000
 """Largest number of pixels of an occupancy image."""
 SDF_DEPTH_MAX = 100

@@ -207,7 +207,7 @@ def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -
         success_low=low,
         success_high=high,
         passable=sum(passable) / len(passable) if passable else None,
-        reasons=dict(Counter(flight["reason"] or "incomplete" for flight in flights).most_common()),
+        reasons=dict(Counter(flight.get("reason") or "incomplete" for flight in flights).most_common()),
         mean={name: statistics.fmean(v) if v else None for name, v in values.items()},
         std={name: statistics.stdev(v) if len(v) > 1 else None for name, v in values.items()},
         plan_ms_median=statistics.median(plan_ms) if plan_ms else None,

@@ -22,6 +22,7 @@ from aero_viz.recordings.bin_files import find_layout, parse_columns, read_bin
 from aero_viz.recordings.cloud_times import STAMP_END, number_in_name
 from aero_viz.recordings.imu_messages import IMU_TYPE, ImuRows
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2, replace_stamp, valid_points
+from aero_viz.scenes.decoder_checks import check_place
 from aero_viz.scenes.decoding_process import DecodingProcess
 from aero_viz.scenes.las import LasUnits
 from aero_viz.scenes.map_files import read_timed_points
@@ -131,6 +132,8 @@ class CloudFiles(CloudSequence):
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
+            centre = np.median(points, axis=0) if len(points) else np.zeros(3)
+            check_place(centre, file)
             if self._suffix in TEXT_SUFFIXES:
                 self.notices.append(str(find_text_layout(file)))
             is_las = self._suffix in (".las", ".laz")
@@ -138,7 +141,6 @@ class CloudFiles(CloudSequence):
         except BaseException:
             self._process.close()
             raise
-        centre = np.median(points, axis=0) if len(points) else np.zeros(3)
         self._offset = np.round(centre) if np.abs(centre).max() > _FAR else np.zeros(3)
         if self._offset.any():
             x, y, z = self._offset

@@ -34,8 +34,10 @@ _DATE_IN_NAME = re.compile(
     r"(?:[-_.s]?(\d{1,9}))?(?:\.pcd)?$"
 )
 """A date and a time of day at the end of a name, with decimals of the seconds."""
-_NUMBER_IN_NAME = re.compile(r"(?:^|\D)(?:(\d{1,10})_(\d{9})|(\d{1,10}\.\d{1,9})|(\d{1,19}))(?:\.pcd)?$")
-"""A number at the end of a name: seconds and nanoseconds, seconds with decimals, or a whole number."""
+_NUMBER_IN_NAME = re.compile(
+    r"(?:^|\D)(?:(1\d{9}(?=[-_])|\d{1,10}(?=_\d{9}(?:\D|$)))[-_](\d{1,9})|(\d{1,10}\.\d{1,9})|(\d{1,19}))(?:\.pcd)?$"
+)
+"""A number at the end of a name: seconds and parts of one, seconds with decimals, or a whole number."""
 _LARGEST = 10**20
 """Larger numbers are no times in any unit."""
 _DIGITS = 10**8
@@ -123,7 +125,15 @@ def stamps_in_names(files: list[Path]) -> tuple[dict[Path, int], str]:
     if len(dates) > len(files) // 2:
         return dates, "times are the dates in the names of the files"
     found = {file: match for file in files if (match := _NUMBER_IN_NAME.search(file.stem))}
-    exact = {file: Decimal(f"{m[1]}.{m[2]}" if m[1] else m[3]) for file, m in found.items() if m[1] or m[3]}
+    parts = [match[2] for match in found.values() if match[1]]
+    digits = len(parts[0]) if len(set(map(len, parts))) == 1 else 9  # without zeros before them, they are nanoseconds
+    counted = sorted(map(int, parts))
+    is_counter = len(parts) > 1 and counted == list(range(counted[0], counted[0] + len(parts)))
+    exact = {
+        file: Decimal(f"{m[1]}.{m[2].zfill(digits)}" if m[1] else m[3])
+        for file, m in found.items()
+        if (m[1] and not is_counter) or m[3]
+    }
     whole = {file: Decimal(m[4]) for file, m in found.items() if m[4] and (m[4] == "0" or m[4][0] != "0")}
     for numbers in (exact, whole):
         large = [value for value in numbers.values() if value >= _DIGITS]

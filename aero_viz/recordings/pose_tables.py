@@ -19,6 +19,8 @@ _NUMBERS_MAX = 1 << 26
 _LARGEST = 1e19
 """Largest number in a table of poses, which is a time since 1970 [ns]."""
 _TUM = ("time", "x", "y", "z", "qx", "qy", "qz", "qw")
+_OF_A_POSE = {*_TUM, "sec", "nsec"}
+"""Columns that are read where a header names them."""
 _WIDTHS = (7, 8, 9, 12, 13, 16, 17)
 """Numbers of columns that are known without a header."""
 _COUNTED_MAX = 1e7
@@ -137,10 +139,10 @@ def _with_time(table: NDArray[np.float64], columns: tuple[str, ...]) -> tuple[ND
 
 
 def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDArray[np.float64]]:
-    """Return the names of the columns, None without a header that has them, and the numbers in the lines of a text."""
+    """Return the names of the columns of a pose, None without a header that has them, and the numbers in them."""
     numbers, width, columns = array("d"), 0, None
     while line := file.readline(_LINE_MAX):
-        words = line.replace(b",", b" ").replace(b";", b" ").split()
+        words = _words(line)
         if not words or line.startswith((b"#", b"%")):
             columns = columns or (None if width else _header(path, line))
             continue
@@ -155,6 +157,8 @@ def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDA
             )
             layout = layout if columns is None else f"the {len(columns)} numbers that its header names"
             raise UserError(f"{path} holds no poses: every line must have {layout}.")
+        if columns is not None:  # others may be texts or covariances
+            words = [word for word, name in zip(words, columns, strict=True) if name in _OF_A_POSE]
         try:
             numbers.extend(map(float, words))
         except ValueError as error:
@@ -163,7 +167,16 @@ def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDA
             raise UserError(f"{path} holds more than {_NUMBERS_MAX // width} poses; cut it.")
     if not numbers:
         raise UserError(f"{path} holds no poses: give TUM or KITTI text, or a ULog of PX4.")
-    return columns, np.frombuffer(numbers, np.float64).reshape(-1, width)
+    if columns is not None:
+        columns = tuple(name for name in columns if name in _OF_A_POSE)
+    return columns, np.frombuffer(numbers, np.float64).reshape(-1, width if columns is None else len(columns))
+
+
+def _words(line: bytes) -> list[bytes]:
+    """Return the words of a line; between commas or semicolons there may be none."""
+    separator = next((mark for mark in (b",", b";") if mark in line), None)
+    words = [word.strip() for word in line.strip().split(separator)]
+    return words if words and words[-1] else words[:-1]
 
 
 def _header(path: Path, line: bytes) -> tuple[str, ...] | None:
@@ -175,7 +188,10 @@ def _header(path: Path, line: bytes) -> tuple[str, ...] | None:
     text = re.sub(r"\[[^]]*\]|\([^)]*\)", " ", line.decode("utf-8", errors="replace").lower()).strip().strip("#%;, ")
     found = re.split(r"\s*[,;]\s*|\s+", text)
     names = tuple(map(_column, found))
-    if names.count("time") != 1:  # in two columns, or in none
+    if names.count("time") > 1:  # that of recording, and the stamp
+        stamp = max(i for i, name in enumerate(names) if name == "time")
+        names = tuple("" if name == "time" and i != stamp else name for i, name in enumerate(names))
+    if "time" not in names:  # in two columns
         names = tuple(_part_of_time(word) or name for word, name in zip(found, names, strict=True))
         names = tuple("time" if name == "sec" and "nsec" not in names else name for name in names)
         timed = ("sec", "nsec", *_TUM[1:]) if "nsec" in names else _TUM

@@ -6,13 +6,14 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+from xml.parsers.expat import XMLParserType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
-from aero_viz.input_limits import MAP_POINTS_MAX
+from aero_viz.input_limits import COORDINATE_MAX, MAP_POINTS_MAX
 
 _POINTERS = (
     b"version https://git-lfs.github.com/spec/",
@@ -51,6 +52,16 @@ def check_count(declared: int, present: int, noun: str = "points") -> None:
         raise ValueError(f"it has {declared} {noun}, and at most {MAP_POINTS_MAX} can be used: thin it out")
 
 
+def check_place(centre: NDArray[np.float64], path: str | Path) -> None:
+    """Raise UserError unless the centre [m] of what a file holds is where coordinates are still exact."""
+    axis = int(np.argmax(np.abs(centre)))
+    if not abs(centre[axis]) <= COORDINATE_MAX:
+        raise UserError(
+            f"{path} lies at {'xyz'[axis]} = {centre[axis]:.3g} m, and coordinates of at most {COORDINATE_MAX:g} m are "
+            "exact: move it to its origin."
+        )
+
+
 def load_rows(lines: Iterable[bytes] | Iterable[str], columns: Sequence[int], **options: Any) -> NDArray[np.float64]:
     """Return the columns of numbers in a text [n, columns], with further options of `np.loadtxt`.
 
@@ -78,3 +89,15 @@ def read_ply_header(path: Path) -> tuple[bytes, dict[bytes, int]]:
     """Return the header of a PLY file and its elements with their counts; raises ValueError without one."""
     header, _ = read_header(path, rb"(?s)^ply\s.*?\nend_header[ \t]*\r?\n", "it does not start with a PLY header")
     return header, {name: int(n) for name, n in re.findall(rb"\nelement[ \t]+(\w+)[ \t]+(\d+)", header)}
+
+
+def refuse_entities(parser: XMLParserType) -> None:
+    """Make a parser of XML raise ValueError for a document type or an entity.
+
+    These expand to gigabytes, or name files and servers, from which other parsers would read.
+    """
+
+    def refuse(*_: object) -> None:
+        raise ValueError("it has a document type or defines entities, which nobody needs here; remove the definition")
+
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse

@@ -112,9 +112,9 @@ def _one_sentence() -> Iterator[None]:
         yield
     except MemoryError:
         raise
-    except OSError as error:
-        raise UserError(error.strerror or str(error)) from error
     except Exception as error:
+        if isinstance(error, OSError) and error.strerror:  # libraries derive errors of their own, which have none
+            raise UserError(error.strerror) from error
         if type(error) is ValueError and has_own_words(error):
             raise UserError(one_line(error)[:300]) from error
         raise UserError("its data are damaged, or are not what its name says") from error

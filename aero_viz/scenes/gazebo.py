@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from aero_planner.user_file import read_user_bytes
 from aero_viz.input_limits import SDF_DEPTH_MAX, SDF_SOLIDS_MAX, TEXT_MAX
+from aero_viz.scenes.decoder_checks import refuse_entities
 from aero_viz.scenes.solids import Pose, Solids
 
 if TYPE_CHECKING:
@@ -73,11 +74,8 @@ def _parse(path: Path) -> Element:
         depth -= 1
         builder.end(tag)
 
-    def refuse(*_: object) -> None:
-        raise ValueError("it has a document type or defines entities, which no world needs; remove the definition")
-
     parser.StartElementHandler, parser.EndElementHandler, parser.CharacterDataHandler = start, end, builder.data
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    refuse_entities(parser)
     try:
         parser.Parse(read_user_bytes(path, limit=TEXT_MAX), True)
     except expat.ExpatError as error:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_viz.errors import UserError
 from aero_viz.input_limits import MAP_CELLS_MAX, MAP_SPAN_MAX, MAP_VOXELS_MAX
+from aero_viz.scenes.decoder_checks import check_place
 from aero_viz.scenes.map_files import SOLID_SUFFIXES, read_map, read_solids
 from aero_viz.scenes.primitives import primitive_bounds
 from aero_viz.scenes.world import World
@@ -177,6 +178,7 @@ def check_span(points: Array, path: str | Path) -> None:
         span = upper - lower
     axis = int(np.argmax(span))
     if span[axis] <= MAP_SPAN_MAX:
+        check_place(lower, path)
         return
     middle = np.median(points[:, axis])
     stray = int((np.abs(points[:, axis] - middle) > 0.5 * MAP_SPAN_MAX).sum())

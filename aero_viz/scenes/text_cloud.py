@@ -23,7 +23,11 @@ _HEAD = 1 << 16
 _ROWS = 20
 """Number of rows from which the columns are found."""
 _COMMENTS = ("#", "//", "%", "!")
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3, "ft": 0.3048}
+_UNITS = {
+    "mm": 1e-3, "cm": 1e-2, "m": 1.0, "meter": 1.0, "meters": 1.0, "metre": 1.0, "metres": 1.0, "km": 1e3,
+    "in": 0.0254, "inch": 0.0254, "inches": 0.0254, "ft": 0.3048, "foot": 0.3048, "feet": 0.3048,
+}  # fmt: skip
+_NAME_AND_UNIT = re.compile(rf"([^(\[]*?)[ _/]*[(\[]?\s*({'|'.join(_UNITS)})?\s*[)\]]?")
 _AXIS = re.compile(
     r"(?:points?|pos|position|p|coord|points_m_xyz|points:|local)?[ ._:-]*([xyz012])(?:1|coord|_?coordinate)?"
 )
@@ -99,9 +103,17 @@ def find_text_layout(path: Path) -> TextLayout | None:
         if columns != (0, 1, 2):
             raise ValueError(f"its header names {len(names)} columns, and its rows have {width}")
     names = names if len(names) == width and header else ()
+    if not names and width > 3 and _is_counted(rows, separator):
+        columns = (1, 2, 3)
     if any(len(_split(row, separator)) != width for row in rows[:-1]):
         return None
     return TextLayout(first, separator, has_decimal_commas, columns, names, unit, declared)
+
+
+def _is_counted(rows: list[str], separator: str | None) -> bool:
+    """Return True if the first column only counts the rows, from 0 or 1 on."""
+    first = [_split(row, separator)[0] for row in rows[:-1]]
+    return len(first) > 2 and any(first == [str(start + k) for k in range(len(first))] for start in (0, 1))
 
 
 def read_text(path: Path) -> tuple[NDArray[np.float64], NDArray[Any] | None]:
@@ -167,7 +179,7 @@ def _is_number(word: str) -> bool:
 
 def _axis(name: str) -> tuple[str, float] | None:
     """Return x, y or z and its unit [m] for the name of a coordinate, None for another name."""
-    found = re.fullmatch(r"([^(\[]*?)[ _]*[(\[]?\s*(mm|cm|km|ft|m)?\s*[)\]]?", name.strip().strip("\"'").lower())
+    found = _NAME_AND_UNIT.fullmatch(name.strip().strip("\"'").lower())
     plain, unit = (found[1], found[2]) if found else (name.lower(), None)
     axis = _AXIS.fullmatch(plain.strip()) if plain else None
     if axis is None or (axis[1] in "012" and ":" not in plain):

@@ -11,6 +11,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
+_found: dict[str, tuple[int, int, int] | None] = {}
+"""Contents of the files that a command is going to replace, by their resolved names: what was there when it began."""
+
 
 def check_output_files(
     *paths: Path | None, overwrite: bool, derived: Sequence[Path | None] = (), inputs: Sequence[str | Path] = ()
@@ -41,6 +44,8 @@ def check_output_files(
             raise ValueError(f"{path} exists already; add --overwrite to replace it, or choose another file.")
         if path.exists() and not os.access(path, os.W_OK):
             raise ValueError(f"{path} cannot be written: permission denied. Choose another file.")
+        if path not in derived:
+            _found[os.path.realpath(path)] = _content(path)
 
 
 def check_ending(path: Path | None, ending: str, content: str) -> None:
@@ -83,7 +88,8 @@ def whole_file(path: Path, *, alone: bool = False) -> Iterator[Path]:
         alone: True refuses a file that another program is writing; otherwise the one that ends last replaces it.
 
     Raises:
-        OSError: the file cannot be replaced, another program is writing it, or what the caller raises.
+        OSError: the file cannot be replaced, another program is writing it or has done so since `check_output_files`,
+            or what the caller raises.
     """
     path = Path(os.path.realpath(path))
     if path.exists() and not path.is_file():
@@ -95,6 +101,7 @@ def whole_file(path: Path, *, alone: bool = False) -> Iterator[Path]:
     with open_alone(lock) if alone else contextlib.nullcontext():
         try:
             yield partial
+            _refuse_new_content(path)
             os.replace(partial, path)
         finally:
             partial.unlink(missing_ok=True)
@@ -106,17 +113,38 @@ def open_alone(path: str | os.PathLike[str], *, buffering: int = -1) -> BinaryIO
     """Open a file to write, from its start, that no other program writes through this function.
 
     Raises:
-        OSError: the file cannot be opened, or another program is writing it.
+        OSError: the file cannot be opened, or another program is writing it or has done so since `check_output_files`.
     """
     file = open(os.open(path, os.O_WRONLY | os.O_CREAT, 0o666), "wb", buffering=buffering)  # noqa: SIM115 (given to the caller)
     try:
         if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             _lock(file, path)
+            _refuse_new_content(path)
             file.truncate(0)
         return file
     except BaseException:
         file.close()
         raise
+
+
+def _content(path: str | os.PathLike[str]) -> tuple[int, int, int] | None:
+    """Return what tells the content of a file from another one, None where there is none to lose."""
+    try:
+        status = os.stat(path)
+    except FileNotFoundError:
+        return None
+    has_some = stat.S_ISREG(status.st_mode) and status.st_size > 0
+    return (status.st_ino, status.st_size, status.st_mtime_ns) if has_some else None
+
+
+def _refuse_new_content(path: str | os.PathLike[str]) -> None:
+    """Raise OSError if a file has other content than `check_output_files` has found, which nobody agreed to lose."""
+    name = os.path.realpath(path)
+    present = _content(name)
+    found = _found.pop(name, present)
+    if present is not None and present != found:
+        problem = "another program has written it since this one began; choose another file"
+        raise OSError(errno.EEXIST, problem, str(path))
 
 
 def _lock(file: BinaryIO, path: str | os.PathLike[str]) -> None:

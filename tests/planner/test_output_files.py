@@ -109,3 +109,29 @@ def test_threads_of_one_program_do_not_disturb_each_other(tmp_path: Path):
             pool.submit(write).result()
         assert path.read_text() == "second"
     assert path.read_text() == "first" and os.listdir(tmp_path) == ["out.txt"]
+
+
+@pytest.mark.parametrize("old", ["", "old"])
+@pytest.mark.parametrize("is_whole", [True, False])
+def test_what_another_program_has_written_meanwhile_is_kept(tmp_path: Path, old: str, is_whole: bool):
+    path = tmp_path / "out.txt"
+    if old:
+        path.write_text(old)
+
+    def write(text: str) -> None:
+        if is_whole:
+            with whole_file(path, alone=True) as partial:
+                partial.write_text(text)
+        else:
+            with open_alone(path) as file:
+                file.write(text.encode())
+
+    check_output_files(path, overwrite=True)
+    path.write_text("the work of hours")
+    with pytest.raises(OSError, match="another program has written it since this one began"):
+        write("new")
+    assert path.read_text() == "the work of hours" and os.listdir(tmp_path) == ["out.txt"]
+    check_output_files(path, overwrite=True)
+    for text in ("first", "second"):
+        write(text)
+        assert path.read_text() == text

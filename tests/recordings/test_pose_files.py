@@ -23,6 +23,11 @@ HEADERS = {
     "field.pose.orientation.x,field.pose.orientation.y,field.pose.orientation.z,field.pose.orientation.w": (
         "7 0 1 2 3 0 0 0.6 0.8"
     ),
+    "%time,field.header.seq,field.header.stamp,field.header.frame_id,field.child_frame_id,field.pose.pose.position.x,"
+    "field.pose.pose.position.y,field.pose.pose.position.z,field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
+    "field.pose.pose.orientation.z,field.pose.pose.orientation.w,field.pose.covariance0": (
+        "9,0,7,the map,,1,2,3,0,0,0.6,0.8,nan"
+    ),
 }
 
 

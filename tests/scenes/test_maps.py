@@ -4,6 +4,7 @@ import pytest
 from aero_viz.catalog import load_world, open_source
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
+from aero_viz.recordings import open_recording
 from aero_viz.scenes import load_map
 from aero_viz.scenes.passable import is_passable
 
@@ -105,6 +106,14 @@ def test_a_map_that_is_too_wide_is_refused_with_the_number_of_stray_points(hall,
     points = np.vstack([np.load(hall), [[99_000.0, 0.0, 0.0]]])
     with pytest.raises(UserError, match=r"stray.npy spans 99\.01 km along x, and at most .*; 1 of its \d+ points"):
         load_map(save(tmp_path / "stray.npy", points))
+
+
+@pytest.mark.parametrize("place", [1e11, -1e300])
+def test_a_map_or_cloud_whose_coordinates_have_lost_their_digits_is_refused(hall, tmp_path, place):
+    far = save(tmp_path / "far.npy", np.load(hall) + np.array([0.0, place, 0.0]))
+    for read in (load_map, open_recording):
+        with pytest.raises(UserError, match=r"far.npy lies at y = .* move it to its origin"):
+            read(far)
 
 
 def test_a_map_of_too_many_voxels_is_refused(tmp_path, monkeypatch):

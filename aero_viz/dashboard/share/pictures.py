@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
+import subprocess
+import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from aero_planner.plain_text import one_line
 from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.snapshot import launch_chromium
 from aero_viz.errors import UserError
@@ -23,6 +25,8 @@ VIDEO_RATE = 25
 """Pictures per second of a video [Hz]."""
 _TIMEOUT = 120_000.0
 """Longest wait for the browser [ms]: without a GPU, on a machine that plans at the same time, it is slow."""
+_WORDS_MAX = 4096
+"""Longest text of the encoder that is read [bytes]."""
 _DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
 _BARE = """
 .mantine-Notification-root, #aero details {display: none !important}
@@ -46,7 +50,7 @@ def write_video(
     Raises:
         UserError: Chromium, Playwright or imageio-ffmpeg is missing, or the video cannot be encoded.
     """
-    with _video_writer(path, size) as write, _opened(page.resolve().as_uri(), size) as opened:
+    with _video_writer(path) as write, _opened(page.resolve().as_uri(), size) as opened:
         field = opened.locator(".mantine-NumberInput-input").first
         field.wait_for()
         opened.keyboard.press("Space")  # pause
@@ -101,20 +105,29 @@ def _opened(url: str, size: tuple[int, int], storage: Mapping[str, str] | None =
 
 
 @contextlib.contextmanager
-def _video_writer(path: Path, size: tuple[int, int]) -> Iterator[Callable[[bytes], Any]]:
-    """Yield a function that appends a JPEG picture to a video."""
-    with from_extra("video", "Videos"):
-        import imageio_ffmpeg
-    import imageio.v3 as iio
+def _video_writer(path: Path) -> Iterator[Callable[[bytes], Any]]:
+    """Yield a function that appends a JPEG picture to a video.
 
-    options = ["-preset", "veryfast", "-movflags", "+faststart"]
-    encoder = imageio_ffmpeg.write_frames(
-        str(path), size, fps=VIDEO_RATE, quality=6, output_params=options, macro_block_size=2
-    )
-    encoder.send(None)
-    try:
-        yield lambda picture: encoder.send(iio.imread(io.BytesIO(picture))[..., :3].tobytes())
-    except RuntimeError as error:
-        raise UserError(f"The video cannot be encoded: {error}") from error
-    finally:
-        encoder.close()
+    imageio-ffmpeg's own writer does not say whether the encoder failed, as on a full disk.
+    """
+    with from_extra("video", "Videos"):
+        from imageio_ffmpeg import get_ffmpeg_exe
+    pictures = ["-f", "image2pipe", "-c:v", "mjpeg", "-framerate", str(VIDEO_RATE), "-i", "-"]
+    coding = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "veryfast", "-movflags", "+faststart"]
+    command = [get_ffmpeg_exe(), "-loglevel", "error", "-y", *pictures, *coding, str(path.absolute())]
+    with (
+        tempfile.TemporaryFile() as errors,
+        subprocess.Popen(command, bufsize=0, stdin=subprocess.PIPE, stderr=errors) as encoder,
+    ):
+        assert encoder.stdin is not None
+        try:
+            with contextlib.suppress(BrokenPipeError):  # the encoder has ended
+                yield encoder.stdin.write
+            encoder.stdin.close()
+        except BaseException:
+            encoder.kill()
+            raise
+        if encoder.wait():
+            errors.seek(0)
+            reason = errors.read(_WORDS_MAX).decode(errors="replace").splitlines()
+            raise UserError(f"The video cannot be encoded: {one_line(reason[0] if reason else encoder.returncode)}.")

@@ -24,6 +24,15 @@ def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, su
         subtitle: second line of each title.
         ours: name of our planner in `summaries`.
     """
+    with from_extra("pictures", "Plots"):
+        import matplotlib
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # the current folder may have a matplotlibrc, which fails or runs LaTeX
+        return _draw(benchmark, summaries, folder, subtitle, ours)
+
+
+def _draw(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, subtitle: str, ours: str) -> list[Path]:
+    """Do the work of `plot`."""
     own = [summary for summary in summaries if summary.planner == ours]
     external = [summary for summary in summaries if summary.planner != ours]
     if benchmark.metric == "throughput":
@@ -40,8 +49,8 @@ def plot(benchmark: Benchmark, summaries: Sequence[Summary], folder: Path, *, su
 
 
 def _figure(title: str, size: tuple[float, float] = _SIZE) -> tuple[Any, Any]:
-    with from_extra("pictures", "Plots"):
-        from matplotlib.figure import Figure
+    from matplotlib.figure import Figure
+
     figure = Figure(size, dpi=_DPI, layout="constrained")
     axes = figure.add_subplot()
     axes.set_title(title, fontsize=10)

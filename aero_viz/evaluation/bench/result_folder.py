@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from aero_planner.output_files import open_alone, whole_file
+from aero_planner.plain_text import has_own_words
 from aero_planner.user_file import parse_json, read_user_text
 from aero_viz.errors import UserError
+from aero_viz.evaluation.statistics import METRICS
 from aero_viz.input_limits import TEXT_MAX
 
-_HEADER, _FLIGHTS = "run.json", "flights.jsonl"
+_HEADER, _FLIGHTS, _LOCK = "run.json", "flights.jsonl", ".lock"
 REPORT_FILES = (_HEADER, "summary.json", "success.png", "speed.png", "throughput.png")
 """Files of a folder of results that have the ending of a world: the header, the summary and the plots."""
 _FIXED_KEYS = (
@@ -19,50 +24,76 @@ _FIXED_KEYS = (
 )  # fmt: skip
 """Keys of the header that must be equal for a run to be resumed."""
 
+_NUMBER, _NONE = (int, float), type(None)
+_HEADER_KINDS = {
+    "benchmark": str, "seed": int, "lidar": (str, _NONE), "simulation": dict, "versions": dict, "device": str,
+    "config": dict,
+}  # fmt: skip
+"""Types of the values that a header has."""
+_ROW_KINDS = {"label": str}
+_FLIGHT_KINDS = {"row": str, "index": int, "world_seed": int, "arrived": bool, "flight_time_s": (*_NUMBER, _NONE)}
+"""Types of the values that a flight has."""
+_BATCH_KINDS = {
+    "batch": int, "batch_size": int, "run_s": _NUMBER, "reason": (str, _NONE), "plan_ms_median": (*_NUMBER, _NONE),
+    **dict.fromkeys(METRICS, (*_NUMBER, _NONE)),
+}  # fmt: skip
+"""Types of the values that a flight of a batch has, besides."""
+
 Header = dict[str, Any]
 Flights = list[dict[str, Any]]
 
 
-def open_folder(folder: Path, header: Header, *, resume: bool) -> tuple[Header, Flights]:
-    """Create a folder of results, or continue with the results in it.
+@contextlib.contextmanager
+def open_folder(folder: Path, header: Header, *, resume: bool) -> Iterator[tuple[Header, Flights]]:
+    """Create a folder of results, or continue with the results in it. No other program writes to it meanwhile.
 
     Args:
         folder: created if it does not exist.
         header: header of the run.
         resume: continue with the results in the folder, if there are any.
 
-    Returns:
+    Yields:
         The header in the folder and the finished flights.
 
     Raises:
         UserError: the folder holds results and `resume` is False, the results are those of another run, or the folder
-            cannot be written.
+            cannot be written, also because another program does.
     """
     if folder.is_file():
         raise UserError(f"{folder} is a file; give --output the name of a folder.")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        previous, flights = read_folder(folder)
-        if previous is None:
-            (folder / _FLIGHTS).unlink(missing_ok=True)
-            (folder / _HEADER).write_text(json.dumps(header, indent=1) + "\n", encoding="utf-8")
-            return header, []
-        if not resume:
-            raise UserError(f"{folder} holds results already; add --resume to continue, or choose another --output.")
-        for key in _FIXED_KEYS:
-            if previous.get(key) != header.get(key):
-                raise UserError(
-                    f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header.get(key))}; "
-                    "choose another --output, or the same options and versions."
-                )
-        # Drops the incomplete last line that a crash may have left.
-        text = "".join(json.dumps(flight) + "\n" for flight in flights)
-        (folder / _FLIGHTS).write_text(text, encoding="utf-8")
-        return previous, flights
-    except OSError as error:
-        raise UserError(
-            f"Cannot write the results to {folder}: {error.strerror or error}. Choose another --output."
-        ) from error
+    with contextlib.ExitStack() as stack:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(open_alone(folder / _LOCK))
+            stack.callback((folder / _LOCK).unlink, missing_ok=True)
+            found = _continue(folder, header, resume=resume)
+        except OSError as error:
+            raise UserError(
+                f"Cannot write the results to {folder}: {error.strerror or error}. Choose another --output."
+            ) from error
+        yield found
+
+
+def _continue(folder: Path, header: Header, *, resume: bool) -> tuple[Header, Flights]:
+    """Return the header and the finished flights of a folder; raises as `open_folder`, and OSError."""
+    previous, flights = read_folder(folder)
+    if previous is None:
+        (folder / _FLIGHTS).unlink(missing_ok=True)
+        with whole_file(folder / _HEADER) as file:
+            file.write_text(json.dumps(header, indent=1) + "\n", encoding="utf-8")
+        return header, []
+    if not resume:
+        raise UserError(f"{folder} holds results already; add --resume to continue, or choose another --output.")
+    for key in _FIXED_KEYS:
+        if previous.get(key) != header.get(key):
+            raise UserError(
+                f"The run in {folder} cannot be resumed: {_difference(key, previous.get(key), header.get(key))}; "
+                "choose another --output, or the same options and versions."
+            )
+    # Drops the incomplete last line that a crash may have left.
+    with whole_file(folder / _FLIGHTS) as file:
+        file.write_text("".join(json.dumps(flight) + "\n" for flight in flights), encoding="utf-8")
+    return previous, flights
 
 
 def holds_results(folder: Path) -> bool:
@@ -76,22 +107,40 @@ def read_folder(folder: Path) -> tuple[Header | None, Flights]:
     Raises:
         UserError: the files cannot be read.
     """
+    file = folder / _HEADER
     try:
-        header = parse_json(read_user_text(folder / _HEADER, limit=TEXT_MAX))
-        lines = (
-            read_user_text(folder / _FLIGHTS, limit=16 * TEXT_MAX).splitlines() if (folder / _FLIGHTS).exists() else []
-        )
+        header = parse_json(read_user_text(file, limit=TEXT_MAX))
+        _check(header, _HEADER_KINDS)
+        for row in header.get("rows", ()):
+            _check(row, _ROW_KINDS)
+        file = folder / _FLIGHTS
+        lines = read_user_text(file, limit=16 * TEXT_MAX).splitlines() if file.exists() else []
+        flights = []
+        for number, line in enumerate(lines, 1):
+            try:
+                flight = parse_json(line)
+            except ValueError:
+                if number == len(lines):  # a crash interrupted the writing of this line
+                    break
+                raise
+            _check(flight, _FLIGHT_KINDS)
+            _check(flight, _BATCH_KINDS if "batch" in flight else {})
+            flights.append(flight)
     except FileNotFoundError:
         return None, []
-    except (OSError, ValueError) as error:
-        raise UserError(f"{folder / _HEADER} cannot be read ({error}); choose another folder.") from error
-    flights = []
-    for line in lines:
-        try:
-            flights.append(parse_json(line))
-        except ValueError:  # a crash interrupted the writing of this line
-            break
+    except (OSError, TypeError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or (error if has_own_words(error) else "it is damaged")
+        raise UserError(f"{file} cannot be read: {reason}; choose another folder.") from error
     return header, flights
+
+
+def _check(record: Any, kinds: Mapping[str, Any]) -> None:
+    """Raise ValueError unless a record has values of these types by these keys."""
+    if not isinstance(record, dict):
+        raise ValueError("it is damaged: it holds something else than records")
+    for key, kind in kinds.items():
+        if not isinstance(record.get(key), kind) or (isinstance(record.get(key), bool) and kind is not bool):
+            raise ValueError(f"it is damaged: a record has no valid value of {key}")
 
 
 def append_flights(folder: Path, flights: Flights) -> None:

@@ -176,17 +176,17 @@ def run_benchmark(
     names = dict.fromkeys(lidar or row.lidar for row in benchmark.rows)
     models = {name: dataclasses.replace(lidar_model(name), **(sensor or {})) for name in names}
     folder = Path(output)
-    header, done = open_folder(folder, header, resume=resume)
-    run = Run(benchmark, header, done)
-    finished = {(flight["row"], flight["index"]) for flight in done}
-    pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
-    executor = executor or LocalExecutor()
-    shards = []
-    for part in _split_into_batches(pending, size):
-        model = models[lidar or part[0].row.lidar]
-        options = FlightOptions(device, model, part[0].vehicle, part[0].rules, noise)
-        shards.append(_Shard(tuple(part), options, rules.radius, examine, executor.threads, causes))
-    _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
+    with open_folder(folder, header, resume=resume) as (header, done):
+        run = Run(benchmark, header, done)
+        finished = {(flight["row"], flight["index"]) for flight in done}
+        pending = [flight for flight in planned if (flight.row.label, flight.index) not in finished]
+        executor = executor or LocalExecutor()
+        shards = []
+        for part in _split_into_batches(pending, size):
+            model = models[lidar or part[0].row.lidar]
+            options = FlightOptions(device, model, part[0].vehicle, part[0].rules, noise)
+            shards.append(_Shard(tuple(part), options, rules.radius, examine, executor.threads, causes))
+        _fly_shards(run, folder, shards, executor, progress or (lambda finished, total, text: None))
     return run
 
 

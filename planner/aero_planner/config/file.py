@@ -41,7 +41,7 @@ GOAL = "goal"
 PLANNER = "planner"
 """Key of the name of the planner."""
 
-_MAX_BYTES = 2**20
+_MAX_BYTES = 2**18
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def read_text(path: str | os.PathLike[str]) -> str:
         with open_user_file(path) as file:
             content = file.read(_MAX_BYTES + 1)
         if len(content) > _MAX_BYTES:
-            raise ValueError(f"{path} is larger than 1 MiB; give a configuration file.")
+            raise ValueError(f"{path} is larger than 256 KiB; give a configuration file.")
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise ValueError(

@@ -7,6 +7,7 @@ are not valid as numbers or switches; 1e5 is a number.
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -16,6 +17,8 @@ import yaml
 from aero_planner.parameters import Value
 
 _MAX_DEPTH = 8
+_DIGITS_MAX = 300
+"""Longest text of an integer. A longer one is no float, and out of all bounds."""
 _HINT = "write 'section:' or, indented by two spaces, 'name: value'"
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*)")
 _FLOAT = re.compile(r"[-+]?((0|[1-9][0-9]*)(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
@@ -142,7 +145,7 @@ def _scalar(node: yaml.ScalarNode) -> Value | None:
     if text in _BOOLEANS:
         return _BOOLEANS[text]
     if _INTEGER.fullmatch(text):
-        return int(text)
+        return int(text) if len(text) <= _DIGITS_MAX else math.inf
     if _FLOAT.fullmatch(text):
         return float(text)
     return text or None

@@ -70,6 +70,16 @@ def test_report_has_all_files_and_numbers(fly, tmp_path, table):
     assert "Incomplete" not in report
 
 
+def test_plots_do_not_follow_a_matplotlibrc(fly, tmp_path):
+    import matplotlib
+
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\ntext.latex.preamble: \\input{secret}\n")
+    with matplotlib.rc_context(fname=tmp_path / "matplotlibrc"):
+        write_report(fly(), tmp_path / "out")
+        assert matplotlib.rcParams["text.usetex"]
+    assert (tmp_path / "out" / "success.png").read_bytes().startswith(PNG)
+
+
 def test_tables_have_one_value_per_cell_and_the_same_columns_without_failures(fly, tmp_path):
     run = fly()
     flights = [{**flight, "arrived": True, "batch": i, "batch_size": 1} for i, flight in enumerate(run.flights)]

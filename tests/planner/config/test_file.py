@@ -92,6 +92,8 @@ def test_numbers_may_be_written_in_any_common_form(tmp_path: Path, text: str, va
         ("costs:\n  q_track: .nan\n", 2, "costs.q_track is '.nan'; it must be a number"),
         ("costs:\n  q_track: 010\n", 2, "costs.q_track is '010'; it must be a number"),
         ("costs:\n  q_track: 1_0\n", 2, "costs.q_track is '1_0'; it must be a number"),
+        (f"costs:\n  q_track: {'9' * 5000}\n", 2, "costs.q_track is inf; it must be a number in [0, 1000]"),
+        (f"sampling:\n  samples: {'9' * 350}\n", 2, "sampling.samples is inf; it must be a whole number"),
         ("costs:\n  q_track: e5\n", 2, "costs.q_track is 'e5'; it must be a number"),
         ("costs:\n  q_track: [5]\n", 2, "costs.q_track is '[5]'; it must be a number"),
         ("candidates:\n  previous: yes\n", 2, "candidates.previous is 'yes'; it must be true or false"),
@@ -164,8 +166,8 @@ def test_unreadable_files_name_the_file(tmp_path: Path):
 
 
 def test_large_files_are_refused_without_reading_them_whole(tmp_path: Path):
-    path = write(tmp_path / "large.yaml", "# comment\n" * 200_000)
-    with pytest.raises(ValueError, match=rf"{path} is larger than 1 MiB; give a configuration file\."):
+    path = write(tmp_path / "large.yaml", "# comment\n" * 30_000)
+    with pytest.raises(ValueError, match=rf"{path} is larger than 256 KiB; give a configuration file\."):
         load_config(path)
 
 
