@@ -507,7 +507,7 @@ class Planner(Generic[_Plan]):
         return Path(path).with_suffix(".wrp")
 
     def close(self) -> None:
-        """Stop the worker threads once a plan of another thread is done. Other calls raise a RuntimeError from now on."""
+        """Stop the worker threads, after the plan of another thread; other calls raise a RuntimeError from now on."""
         self._use.end()
         self._pipeline.close()
 
