@@ -90,7 +90,8 @@ class Cloud:
             if isinstance(cloud, wp.array):
                 wp.copy(row, cloud, count=len(cloud))
             elif self._device.is_cpu:
-                self.array.numpy()[b, : len(cloud)] = cloud
+                with np.errstate(over="ignore"):  # infinite points are dropped
+                    self.array.numpy()[b, : len(cloud)] = cloud
             else:
                 source = wp.array(
                     np.ascontiguousarray(cloud, dtype=np.float32), dtype=wp.vec3, device="cpu", copy=False

@@ -11,18 +11,19 @@ _Arguments = ParamSpec("_Arguments")
 _Result = TypeVar("_Result")
 
 
+_PATIENCE = 5.0
+"""Longest wait for another thread [s]; a plan takes milliseconds."""
+
+
 class Use:
     """The use of an object by one thread, as a context; its methods may call each other.
 
     Args:
         name: what the object is, for messages.
-
-    Attributes:
-        is_over: True once the object is closed.
     """
 
     def __init__(self, name: str) -> None:
-        self.is_over = False
+        self._is_over = False
         self._name = name
         self._lock = threading.RLock()
 
@@ -36,12 +37,18 @@ class Use:
             raise RuntimeError(
                 f"another thread is using this {self._name}; give each thread its own, or a lock to take turns."
             )
-        if self.is_over:
+        if self._is_over:
             self._lock.release()
             raise RuntimeError(f"this {self._name} is closed; create another one.")
 
     def __exit__(self, *_: object) -> None:
         self._lock.release()
+
+    def end(self) -> None:
+        """Close the object, as soon as another thread that uses it is done, but after `_PATIENCE` in any case."""
+        self._is_over = True
+        if self._lock.acquire(timeout=_PATIENCE):
+            self._lock.release()
 
 
 class Exclusive(Protocol):

@@ -97,15 +97,14 @@ class Planner(Generic[_Plan]):
         batch: int | None = None,
         threads: int | None = None,
     ) -> None:
-        if batch is not None and batch < 1:
-            raise ValueError(f"batch is {batch}; it must be None or at least 1.")
+        for name, count in (("batch", batch), ("threads", threads)):
+            if count is not None and not (isinstance(count, int | np.integer) and count >= 1):
+                raise ValueError(f"{name} is {count!r}; it must be None or a whole number of at least 1.")
         seeds = seeds_of_batch(seed, batch or 1)
         if len(seeds) != (batch or 1):
             raise ValueError(f"{len(seeds)} seeds were given for {batch or 1} drones; give one for each or an integer.")
         if config is not None:
             check_configs([config], 1)
-        if threads is not None and threads < 1:
-            raise ValueError(f"threads is {threads}; it must be None or at least 1.")
         self._use = Use("planner")
         self._device = find_device(device)
         self._tuning = CPU if self._device.is_cpu else CUDA
@@ -508,8 +507,8 @@ class Planner(Generic[_Plan]):
         return Path(path).with_suffix(".wrp")
 
     def close(self) -> None:
-        """Stop the worker threads; other calls raise a RuntimeError from now on."""
-        self._use.is_over = True
+        """Stop the worker threads, after the plan of another thread; other calls raise a RuntimeError from now on."""
+        self._use.end()
         self._pipeline.close()
 
 

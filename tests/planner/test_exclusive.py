@@ -77,6 +77,24 @@ def test_a_closed_planner_says_so(device: str):
             pytest.fail(name)
 
 
+def test_a_planner_is_closed_after_the_plan_of_another_thread(device: str):
+    planner, held, plans = Planner(config_of(), device=device), Held(), []
+    slow = random_case(0)
+    slow.position = held  # type: ignore[assignment]
+    thread = threading.Thread(target=lambda: plans.append(slow.plan(planner)))
+    thread.start()
+    assert held.is_reached.wait(60.0)
+    closing = threading.Thread(target=planner.close)
+    closing.start()
+    closing.join(0.2)
+    held.release()
+    thread.join()
+    closing.join()
+    assert len(plans) == 1
+    with pytest.raises(RuntimeError, match="this planner is closed"):
+        CASE.plan(planner)
+
+
 def test_two_threads_cannot_fly_one_batch(device: str, short_flight: FlightBatch):
     errors: list[str] = []
 

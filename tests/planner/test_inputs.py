@@ -127,8 +127,10 @@ def test_bad_input_changes_nothing(planner: Planner):
     [
         ({"device": "gpu"}, "device 'gpu' is not available: this machine has cpu.*; choose "),
         ({"device": "cuda:99"}, "device 'cuda:99' is not available"),
-        ({"batch": 0}, "batch is 0; it must be None or at least 1"),
-        ({"threads": 0}, "threads is 0; it must be None or at least 1"),
+        ({"batch": 0}, "batch is 0; it must be None or a whole number of at least 1"),
+        ({"batch": "2"}, "batch is '2'; it must be None or a whole number"),
+        ({"batch": 2.0}, "batch is 2.0; it must be None or a whole number"),
+        ({"threads": 0}, "threads is 0; it must be None or a whole number of at least 1"),
         ({"config": "paper"}, "config is 'paper'; it must be a PlannerConfig"),
         ({"seed": 1.5}, "seed is 1.5; it must be a whole number"),
     ],
