@@ -147,7 +147,7 @@ def _fit_world(
 
     if flags.count is not None or flags.voxel is not None:
         raise UserError(
-            "Solids that are fitted to a cloud have neither a number nor voxels; leave --count, --voxel out."
+            "Solids that are fitted to a cloud have neither a number nor voxels; leave --count and --voxel out."
         )
     points = read_cloud(cloud)
     fitted = fit_world(points, cloud, tolerance=tolerance, start=flags.start, goal=flags.goal)

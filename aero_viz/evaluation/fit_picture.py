@@ -76,7 +76,7 @@ def _solids(fitted: FittedWorld, pixel: float) -> tuple[NDArray[np.float64], NDA
 
 
 def _view(points, colors, low, high, pixel: float, axes: tuple[int, int]) -> NDArray[np.uint8]:
-    """Return the orthographic view along the third axis [rows, columns, 3]; the nearest covers the rest."""
+    """Return the view along the third axis [rows, columns, 3]; what is nearer to the eye covers the rest."""
     across, up = axes
     depth = 3 - across - up
     order = np.argsort(points[:, depth] if depth == 2 else -points[:, depth], kind="stable")
@@ -91,7 +91,6 @@ def _view(points, colors, low, high, pixel: float, axes: tuple[int, int]) -> NDA
 
 def _by_height(height: NDArray[np.float64]) -> NDArray[np.uint8]:
     """Return colours from blue, low, to yellow, high [n, 3]."""
-    share = np.clip((height - height.min()) / max(float(np.ptp(np.quantile(height, [0.02, 0.98]))), 0.1), 0.0, 1.0)[
-        :, None
-    ]
+    low, high = np.quantile(height, [0.02, 0.98])
+    share = np.clip((height - low) / max(high - low, 0.1), 0.0, 1.0)[:, None]
     return (share * np.array([253, 220, 90]) + (1.0 - share) * np.array([60, 90, 200])).astype(np.uint8)

@@ -30,7 +30,7 @@ _HYPOTHESES = 400  # random cylinders
 _THICKNESS_MAX = 1.0  # [m] of a box: points on all sides of a wider one may be the walls of a room
 _FILL_MIN = 0.9  # share of a wall that must hold points: a lower one has windows
 _UPRIGHT, _AGREEMENT = 0.2, 0.9  # largest vertical part of the normals of a wall, and least cosine between two of them
-_PART_MIN, _CLUSTER_MIN = 50, 8  # points
+_PART_MIN, _MESH_MIN, _CLUSTER_MIN = 50, 20, 8  # points
 
 
 class Fit(NamedTuple):
@@ -39,6 +39,10 @@ class Fit(NamedTuple):
     table: str
     row: Array
     residual: float
+
+    def distances(self, points: Array) -> Array:
+        """Return the distance of each point [n, 3] to the surface [m], [n]."""
+        return np.abs(DISTANCES[self.table](points[:, None, :], self.row[None])[:, 0])
 
 
 def import_open3d() -> Any:
@@ -123,7 +127,7 @@ def split_trunks(points: Array, tolerance: float, spacing: float) -> tuple[list[
         if trunk is None:
             break
         trunks.append(trunk)
-        left = np.abs(DISTANCES["cylinders"](points[:, None, :], trunk.row[None])[:, 0]) > tolerance
+        left = trunk.distances(points) > tolerance
         points, normals = points[left], normals[left]
     return trunks, points
 
@@ -217,8 +221,7 @@ def _turn(angle: float) -> Array:
 
 
 def _checked(table: str, row: Array, points: Array, tolerance: float) -> Fit | None:
-    distances = np.abs(DISTANCES[table](points[:, None, :], row[None])[:, 0])
-    residual = float(np.quantile(distances, FITTED_SHARE))
+    residual = float(np.quantile(Fit(table, row, 0.0).distances(points), FITTED_SHARE))
     return Fit(table, row, residual) if residual <= tolerance else None
 
 
@@ -258,17 +261,28 @@ def split_walls(points: Array, tolerance: float, spacing: float, height: Height)
                 walls.append(wall)
                 taken[plane[part]] = True
     rest = points[~taken]
-    near = [np.abs(DISTANCES[wall.table](rest[:, None, :], wall.row[None])[:, 0]) <= tolerance for wall in walls]
-    return walls, rest[~np.any(near, axis=0)] if walls else rest
+    for wall in walls:
+        rest = rest[wall.distances(rest) > tolerance]
+    return walls, rest
 
 
-def mesh_triangles(points: Array, alpha: float) -> Array:
-    """Return the alpha shape of points [m, 9]: the surface that a ball of the radius `alpha` [m] cannot enter."""
+def mesh_triangles(points: Array, tolerance: float, spacing: float) -> Array:
+    """Return triangles [m, 9] on the points by ball pivoting (Bernardini et al. 1999), then simplified.
+
+    Balls of a few times the spacing of the points roll over them; a triangle is where one rests on three of them.
+    """
     open3d = import_open3d()
-    try:
-        mesh = open3d.geometry.TriangleMesh.create_from_point_cloud_alpha_shape(point_cloud(points), alpha)
-    except RuntimeError:  # all points lie in a plane
+    if len(points) < _MESH_MIN:
         return np.zeros((0, 9))
+    cloud = point_cloud(points)
+    cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(_MESH_MIN))
+    try:
+        cloud.orient_normals_consistent_tangent_plane(12)
+    except RuntimeError:  # all points lie in a plane: any orientation is consistent
+        cloud.orient_normals_to_align_with_direction()
+    radii = open3d.utility.DoubleVector(spacing * np.array([1.0, 1.5, 2.5]))
+    mesh = open3d.geometry.TriangleMesh.create_from_point_cloud_ball_pivoting(cloud, radii)
+    mesh = mesh.simplify_quadric_decimation(len(mesh.triangles) // 6, maximum_error=(0.3 * tolerance) ** 2)
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.triangles)].reshape(-1, 9)
     a, b, c = np.split(corners, 3, axis=1)
     return corners[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9]

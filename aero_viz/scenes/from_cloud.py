@@ -25,6 +25,7 @@ from aero_viz.scenes.fitted_solids import (
 from aero_viz.scenes.maps import check_span, complete_world, merge_voxels, occupied_voxels, recentred
 from aero_viz.scenes.primitives import rotate_z
 from aero_viz.scenes.solids import Solids
+from aero_viz.scenes.triangles import TriangleTree
 from aero_viz.scenes.world import World
 
 TOLERANCE_RANGE = (0.01, 1.0)
@@ -36,7 +37,7 @@ _GROUND_SLOPE = 0.7  # vertical part of the normal of the steepest slope
 _GROUND_SHARE, _GROUND_PLANES = 0.05, 8  # smallest share of the squares on a plane, largest number of planes
 _GROUND_THICKNESS = 1.0  # [m] of level ground
 _STANDS_ON_GROUND = 0.5  # [m]; a solid that begins lower than this above the ground begins on it
-_POINTS_MEASURED = 20_000
+_POINTS_MEASURED = 10_000
 _BOTTOM = np.array([[-1, -1, -1], [1, -1, -1], [-1, 1, -1], [1, 1, -1]])  # corners of a box
 
 Array = NDArray[np.float64]
@@ -91,10 +92,10 @@ def fit_world(
 ) -> FittedWorld:
     """Return a world of solids whose surfaces lie within a tolerance of the points.
 
-    Outliers are removed by their distance to their neighbours, the ground is found by RANSAC among the lowest points,
-    and the rest is clustered (DBSCAN). A cluster becomes a cylinder or a box if that fits, otherwise thin boxes on its
-    planes and the alpha shape of the remaining points; points that even this misses become voxels. The result is the
-    same in every call.
+    Outliers are removed by the distance to their neighbours, the ground is found by RANSAC among the lowest points, and
+    the rest is clustered (DBSCAN). A cluster becomes a cylinder or a box if that fits; otherwise cylinders and boxes
+    are taken out of it, and what remains becomes triangles. Points that even these miss become voxels. The result is
+    the same in every call.
 
     Args:
         points: finite points [n, 3] [m], z up. Far from the origin they are moved as `load_map` does.
@@ -126,14 +127,13 @@ def fit_world(
     parts = clusters(dense[standing], spacing)
     kept[np.delete(standing, np.concatenate([[], *parts]).astype(int))] = False
     solids = Solids()
-    for part in parts:
-        _fit(solids, dense[standing[part]], tolerance, spacing, ground.height)
+    missed = [_fit(solids, dense[standing[part]], tolerance, spacing, ground.height) for part in parts]
+    far = np.vstack([np.zeros((0, 3)), *missed])
     ground.support(solids)
     walls, mesh = len(solids.boxes), len(solids.triangles)
     ground.add_to(solids)
-    bare = World("", np.zeros(3), np.zeros(3), **solids.tables())
-    far = dense[kept][np.abs(bare.distance(dense[kept])) > tolerance]
     voxels = merge_voxels(occupied_voxels(far, tolerance, path), tolerance) if len(far) else []
+    bare = World("", np.zeros(3), np.zeros(3), **solids.tables())
     solids.boxes += list(voxels)
     used = points[kept[place]]
     world = complete_world(path, used, solids.tables(), shift=shift, start=start, goal=goal)
@@ -155,18 +155,29 @@ def _thinned(points: Array, edge: float) -> tuple[Array, NDArray[np.int64]]:
     return np.column_stack([np.bincount(place, column) / count for column in points.T]), place
 
 
-def _fit(solids: Solids, points: Array, tolerance: float, spacing: float, height: Height) -> None:
-    """Add the solids of a cluster."""
+def _fit(
+    solids: Solids, points: Array, tolerance: float, spacing: float, height: Height, *, is_rest: bool = False
+) -> Array:
+    """Add the solids of a cluster; return the points that none of them represents [n, 3].
+
+    What remains of a cluster without its trunks and walls is not split again.
+    """
+    found, walls, rest = [], [], points
     whole = fit_primitive(points, tolerance, spacing, height)
-    found, rest = ([whole], points[:0]) if whole is not None else split_trunks(points, tolerance, spacing)
-    walls, rest = split_walls(rest, tolerance, spacing, height)
+    if whole is not None:
+        found, rest = [whole], points[whole.distances(points) > tolerance]
+    elif not is_rest:
+        found, rest = split_trunks(points, tolerance, spacing)
+        walls, rest = split_walls(rest, tolerance, spacing, height)
     for fit in (*found, *walls):
         getattr(solids, fit.table).append(fit.row)
     if not (found or walls):
-        solids.triangles += list(mesh_triangles(_thinned(points, tolerance)[0], 2.0 * max(spacing, tolerance)))
-        return
-    for part in clusters(rest, spacing):
-        _fit(solids, rest[part], tolerance, spacing, height)
+        triangles = mesh_triangles(_thinned(points, tolerance)[0], tolerance, max(spacing, tolerance))
+        solids.triangles += list(triangles)
+        return points[TriangleTree(triangles).nearest(points)[0] > tolerance] if len(triangles) else points
+    parts = clusters(rest, spacing)
+    missed = [_fit(solids, rest[part], tolerance, spacing, height, is_rest=True) for part in parts]
+    return np.vstack([*missed, np.delete(rest, np.concatenate([[], *parts]).astype(int), axis=0)])
 
 
 class _Ground:
