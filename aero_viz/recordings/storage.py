@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 
@@ -40,16 +40,13 @@ and its reader, or None if the file has another format."""
 
 
 def _bag(name: str, magic: bytes, reader: Callable[[Path], BagFile]) -> Opener:
-    def open_bag(path: Path, start: bytes, choices: Choices) -> tuple[str, BagFile] | None:
-        return (name, reader(path)) if start.startswith(magic) else None
-
-    return open_bag
+    return lambda path, start, choices: (name, reader(path)) if start.startswith(magic) else None
 
 
 def _accept(name: str, found: Any) -> Opener:
     if not callable(found):
         raise UserError(f"{name} is not a format; give a function of a path, the first bytes and the choices.")
-    return found
+    return cast(Opener, found)
 
 
 FORMATS: Registry[Opener] = Registry(
