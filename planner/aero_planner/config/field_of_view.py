@@ -49,10 +49,11 @@ def parse_views(text: str) -> tuple[View, ...]:
 
 
 def format_views(views: Iterable[View]) -> str:
-    """Return the text of some views, without what is the default."""
+    """Return the text of some views, to 0.001 deg, without what is the default."""
+    rounded = (View(*(round(number, 3) for number in view)) for view in views)
     return "; ".join(
-        " ".join(f"{number:g}" for number in (view if view.middle else view[: 2 if view.width >= FULL_WIDTH else 3]))
-        for view in views
+        " ".join(f"{number:.7g}" for number in (view if view.middle else view[: 2 if view.width >= FULL_WIDTH else 3]))
+        for view in rounded
     )
 
 
@@ -78,8 +79,8 @@ def mounted_view(view: View, *, roll: float, pitch: float, yaw: float = 0.0) -> 
     if level <= -_TOLERANCE:
         view = View(-view.highest, -view.lowest, view.width, -view.middle)
     elif level < _TOLERANCE:
-        cone = min(0.5 * view.width, view.highest, -view.lowest)
+        cone = max(min(0.5 * view.width, view.highest, -view.lowest), 1.0)
         view = View(-cone, cone, 2.0 * cone, view.middle * level)
     drop = pitch * math.cos(math.radians(view.middle))
-    lowest, highest = (min(max(elevation - drop, -90.0), 90.0) for elevation in (view.lowest, view.highest))
-    return View(lowest, highest, view.width, math.remainder(view.middle + yaw, FULL_WIDTH))
+    lowest, highest = max(view.lowest - drop, -90.0), min(view.highest - drop, 90.0)
+    return View(min(lowest, 89.0), max(highest, -89.0), view.width, math.remainder(view.middle + yaw, FULL_WIDTH))

@@ -29,12 +29,16 @@ def test_the_view_turns_with_the_sensor(roll: float, pitch: float, view: tuple[f
         ((0.0, 40.0, 0.0), (-60.0, -10.0, 90.0, 10.0)),
         ((180.0, 0.0, 0.0), (-30.0, 20.0, 90.0, -10.0)),
         ((90.0, 0.0, 0.0), (-20.0, 20.0, 40.0, 0.0)),
+        ((0.0, 150.0, 0.0), (-90.0, -89.0, 90.0, 10.0)),
     ],
 )
 def test_a_narrow_view_moves_with_the_sensor(angles: tuple[float, float, float], view: tuple[float, ...]):
     roll, pitch, yaw = angles
     seen = mounted_view(View(-20.0, 30.0, 90.0, 10.0), roll=roll, pitch=pitch, yaw=yaw)
     assert seen == pytest.approx(view, abs=1.0)
+    assert PlannerConfig().replace({"unseen_space.view": format_views((seen,))}).unseen_space.views[0] == pytest.approx(
+        seen, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize(
