@@ -108,12 +108,17 @@ def _reason(frames: Sequence[Frame], places: Array, total: int) -> tuple[str, st
             reasons.append("no ray hit it")
     reason, count = Counter(reasons).most_common(1)[0]
     counted = [i for i, name in enumerate(reasons) if name == reason]
+    beside = ""
+    if model.azimuth_max - model.azimuth_min < 360.0:
+        beside = (
+            f", and at azimuths of {azimuth[counted].min():.0f} to {azimuth[counted].max():.0f} deg, of which it sees "
+            f"{model.azimuth_min:g} to {model.azimuth_max:g} deg"
+        )
     detail = {
         "beyond range": f"{distance[counted].min():.1f} m away or more, beyond the range of {reach:g} m",
         "outside the field of view": (
-            f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg and azimuths of "
-            f"{azimuth[counted].min():.0f} to {azimuth[counted].max():.0f} deg in the frame of the sensor, which sees "
-            f"{model.elevation_min:g} to {model.elevation_max:g} and {model.azimuth_min:g} to {model.azimuth_max:g} deg"
+            f"at elevations of {elevation[counted].min():.0f} to {elevation[counted].max():.0f} deg in the frame of "
+            f"the sensor, which sees {model.elevation_min:g} to {model.elevation_max:g} deg{beside}"
         ),
         "occluded": f"occluded by {names.most_common(1)[0][0] if names else 'something'}",
         "no ray hit it": "in view, but no ray hit it",

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from aero_planner.config import DroneConfig, PlannerConfig, Value
-from aero_planner.config.field_of_view import FULL_WIDTH
+from aero_planner.config.field_of_view import View, format_views
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.vehicle_model import VehicleModel
 from aero_viz.scenes.world import World
@@ -14,9 +14,7 @@ from aero_viz.sensors.models import LidarModel
 from aero_viz.session.source import SourceInfo
 
 Config = TypeVar("Config", bound=DroneConfig)
-_VIEW = ("view_min", "view_max", "view_width", "view_middle")
-_SECOND_VIEW = ("second_min", "second_max", "second_width", "second_middle")
-_FACTS = (*_VIEW, *_SECOND_VIEW, "range_max", "facing", "delay", "height_max")
+_FACTS = ("view", "range_max", "delay", "height_max")
 """Names of the parameters that are facts of a flight, in whatever section of a configuration."""
 
 
@@ -25,7 +23,7 @@ def config_for_drone(config: Config, *, lidar: LidarModel, vehicle: VehicleModel
 
     The facts are the field of view of `lidar`, see `LidarModel.view`, its range, if that is less than the configuration
     counts on, the delay of `vehicle`, and the top of `world`. Of several sensors, a planner knows the view of the first
-    one and the largest view of the others. If none of them sees all around, the drone faces where it flies. The
+    one and the largest view of the others. The
     delay is the latency, plus the time constant of the body rates unless `config` models their lag. The planner must
     know the top because a flight that leaves the bounds has failed, and a LiDAR does not see them. Like the height of
     the ground, the top is used only with costs.use_ground.
@@ -90,19 +88,19 @@ def _known(config: DroneConfig, flight: SourceInfo) -> dict[str, Value]:
 def _facts(config: DroneConfig, *, lidar: LidarModel, vehicle: VehicleModel, world: World | None) -> dict[str, Value]:
     paths, (view, *others) = _paths(config), (sensor.view for sensor in lidar.sensors)
     facts: dict[str, Value] = {
-        **dict(zip(_VIEW, view, strict=True)),
+        "view": format_views((view, *sorted(others, key=_extent)[-1:])),
         "delay": config.vehicle.unmodelled_delay(rate_lag=vehicle.rate_lag, latency=vehicle.latency),
     }
     if world is not None and (not isinstance(config, PlannerConfig) or config.costs.use_ground):
         facts["height_max"] = float(world.bounds[1, 2])
-    if others:
-        facts |= zip(_SECOND_VIEW, max(others, key=lambda v: (v.highest - v.lowest) * v.width), strict=True)
-    if max(view.width, *(other.width for other in others), 0.0) < FULL_WIDTH:
-        facts["facing"] = "flight"
     if "range_max" in paths:
         reach = max(1.0, *(sensor.range_max for sensor in lidar.sensors))
         facts["range_max"] = min(float(type(config)().get(paths["range_max"])), reach)
     return {paths[name]: value for name, value in facts.items() if name in paths}
+
+
+def _extent(view: View) -> float:
+    return (view.highest - view.lowest) * view.width
 
 
 def _paths(config: DroneConfig) -> dict[str, str]:

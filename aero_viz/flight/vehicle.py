@@ -132,7 +132,7 @@ def _pack_params(model: VehicleModel) -> Any:
     shared = {name: getattr(model, name) for name in (*PLANNED, "thrust_lag", "rate_lag")}
     params: Any = Params()
     for name in record.dtype.names:
-        setattr(params, name, record[name].item())
+        setattr(params, name, record[name].tolist())
     for name, value in (shared | dict(model.own)).items():
         setattr(params, name, value)
     return params

@@ -159,6 +159,19 @@ def _then_spread(first: Any, second: Any) -> Any:
 
 
 @wp.func
+def _same_turn(rate: float, q: wp.vec4, along: wp.vec3, otherwise: float, views: Any, c: Any) -> float:
+    return rate
+
+
+def _then_turn(first: Any, second: Any) -> Any:
+    @wp.func
+    def then(rate: float, q: wp.vec4, along: wp.vec3, otherwise: float, views: Any, c: Any) -> float:
+        return second(first(rate, q, along, otherwise, views, c), q, along, otherwise, views, c)
+
+    return then
+
+
+@wp.func
 def _same_clearance(d: float, x: wp.vec3, time: float, b: int, views: Any, c: Any) -> float:
     return d
 
@@ -200,6 +213,7 @@ def _then_fallback(first: Any, second: Any) -> Any:
 _SAME: dict[str, wp.Function] = {
     "estimate": _same_estimate,
     "spread": _same_spread,
+    "turn": _same_turn,
     "clearance": _same_clearance,
     "admissible": _same_admissible,
     "fallback": _same_fallback,
@@ -207,6 +221,7 @@ _SAME: dict[str, wp.Function] = {
 _THEN = {
     "estimate": _then_estimate,
     "spread": _then_spread,
+    "turn": _then_turn,
     "clearance": _then_clearance,
     "admissible": _then_admissible,
     "fallback": _then_fallback,

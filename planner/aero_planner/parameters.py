@@ -64,6 +64,8 @@ class ParameterInfo:
     """Regular expression that a text must match as a whole."""
     form: str = ""
     """The pattern in words, such as "an address"."""
+    pack: Callable[[str], Any] | None = None
+    """Function that returns the numbers of a text, an array of float32 that kernels read; None for another one."""
     items: tuple[str, ...] | None = None
     """Names of which a text lists any, separated by commas, in this order; None for another text."""
 
@@ -170,6 +172,11 @@ def text(default: str, pattern: str, form: str, help: str, **more: Any) -> Any:
     return _field(default, unit="", help=help, pattern=pattern, form=form, live=False, **more)
 
 
+def table(default: str, pattern: str, form: str, pack: Callable[[str], Any], help: str, **more: Any) -> Any:
+    """Return the field of a text of numbers that can change between two plans; `pack` as in `ParameterInfo`."""
+    return _field(default, unit="", help=help, pattern=pattern, form=form, pack=pack, **more)
+
+
 def names_list(default: str, items: tuple[str, ...], help: str, **more: Any) -> Any:
     """Return the field of a text that lists any of `items`, separated by commas."""
     return _field(default, unit="", help=help, items=items, form="names separated by commas", live=False, **more)
@@ -183,7 +190,7 @@ def _field(default: Value, **description: Any) -> Any:
 class ParameterSection:
     """Base of a section of parameters: a frozen dataclass that checks its values when it is created.
 
-    Fields made by `live`, `structural`, `switch`, `choice`, `text` or `names_list` are parameters, others are not.
+    Fields made by `live`, `structural`, `switch`, `choice`, `text`, `table` or `names_list` are parameters, others not.
     The name of the section is a class argument: `class CostConfig(ParameterSection, section="costs")`.
 
     Raises:

@@ -149,7 +149,7 @@ class _Stages:
             (sizes.B, sizes.M + int(BRAKING_FAN), r.tuning.threads_per_instance),
             inputs=[
                 r.problem, r.start, r.params, sizes.M, sizes.A, self._previous_index, r.cells,
-                r.work.initial_directions, r.previous,
+                r.work.initial_directions, r.previous, r.views,
             ],
             outputs=[r.guides, r.work.nominal_controls],
             block_dim=32,

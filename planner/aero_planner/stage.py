@@ -22,6 +22,8 @@ class Hooks:
     Attributes:
         estimate: (b, e: Estimate, views, c) -> Estimate: the disturbance and drag that plans count on.
         spread: (b, s: Spread, views, c) -> Spread: the spacing of the anchors.
+        turn: (rate, q, along, otherwise, views, c) -> float: the yaw rate [rad/s] with which a candidate turns that
+            flies `along` (vec3, world frame) at the attitude q, where `otherwise` is the heading of the goal [rad].
         clearance: (d, x, time, b, views, c) -> the smaller of d [m] and the distance of x [m] from dynamic obstacles, a
             time [s] after the start of the plan.
         admissible: (b, m, is_admissible, views, c) -> int: whether instance m may be flown, 0 or 1.
@@ -30,6 +32,7 @@ class Hooks:
 
     estimate: Callable[..., Any] | None = None
     spread: Callable[..., Any] | None = None
+    turn: Callable[..., Any] | None = None
     clearance: Callable[..., Any] | None = None
     admissible: Callable[..., Any] | None = None
     fallback: Callable[..., Any] | None = None

@@ -270,7 +270,9 @@ def test_a_scene_is_opened_with_the_obstacles_lidar_noise_and_wind_of_the_page(f
     assert settings["lidar"]["name"] == "spinning64"
     assert settings["noise"]["position"] == 0.05
     assert (settings["drone"]["drag"], settings["drone"]["gust_speed"]) == (0.3, 2.0)
-    desk.wait_for(lambda: desk.session.config.unseen_space.view_min == -22.5, "the planner to know the field of view")
+    desk.wait_for(
+        lambda: desk.session.config.unseen_space.view == "-22.5 22.5", "the planner to know the field of view"
+    )
     assert obstacles.input_value() == "40"
     choose(desk, "wall")
     desk.wait_for(lambda: desk.session.frame.source.name.startswith("wall"), "the wall")

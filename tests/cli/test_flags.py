@@ -77,6 +77,6 @@ def test_the_page_plans_with_the_field_of_view_and_the_delay_of_its_flight():
         return config_for_flight(PlannerConfig(), opener("wall", seed=0).info)
 
     config = config_with(FlightFlags(drone=DroneFlags(latency=0.05)), "full-sphere")
-    assert (config.unseen_space.view_min, config.unseen_space.view_max, config.vehicle.delay) == (-90.0, 90.0, 0.05)
+    assert (config.unseen_space.view, config.vehicle.delay) == ("-90 90", 0.05)
     top = {"costs.height_max": config.costs.height_max}
     assert config_with(FlightFlags(), "mid360") == PlannerConfig().replace(top)

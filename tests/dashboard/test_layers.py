@@ -146,7 +146,7 @@ def test_continued_cells_have_a_colour_of_their_own_where_the_plan_names_them(se
 @pytest.mark.parametrize(("view_min", "view_max"), [(-7.0, 52.0), (-90.0, 52.0), (-90.0, 90.0)])
 @pytest.mark.parametrize("is_named", [True, False], ids=["continued cells named", "not named"])
 def test_unseen_cells_are_continued_or_empty_outside_the_field_of_view(server, frame, view_min, view_max, is_named):
-    config = frame.config.replace({"unseen_space.view_min": view_min, "unseen_space.view_max": view_max})
+    config = frame.config.replace({"unseen_space.view": f"{view_min:g} {view_max:g}"})
     plan = frame.plan if is_named else dataclasses.replace(frame.plan, continued_cells=None)
     seen, layer = dataclasses.replace(frame, config=config, plan=plan), UnseenCellLayer(server)
     changes = {name: value for _, name, value in layer.update(seen)}

@@ -47,14 +47,15 @@ def test_the_cut_shows_where_no_stop_may_lie_and_what_is_not_seen(server, frame)
     angle = 2.0 * np.pi * (np.arange(len(occluded)) + 0.5) / len(occluded)
     toward = np.stack((np.cos(angle), np.sin(angle), np.zeros_like(angle)), axis=-1)
     body = toward @ reference.rotation(np.asarray(frame.observation.state.quaternion))
-    fine, view, reach = frame.plan.fine_range.astype(np.float64), frame.config.unseen_space, frame.config.farthest_range
+    fine, reach = frame.plan.fine_range.astype(np.float64), frame.config.farthest_range
+    lowest, highest, _, _ = frame.config.unseen_space.views[0]
     row, column, border = reference.cell_indices(body, *fine.shape)
     is_sure = border > 1e-4  # rounding decides on the cells of the others
     seen = np.maximum(fine[row, column], 0.5)
     np.testing.assert_allclose(occluded[is_sure, 0], seen[is_sure], atol=1e-4)
     np.testing.assert_allclose(occluded[:, 1], reach, atol=1e-4)
     elevation = np.degrees(np.arcsin(reference.cell_centers(*fine.shape)[row, column, 2]))
-    is_unseen = (fine[row, column] == reach) & ((elevation < view.view_min) | (elevation > view.view_max))
+    is_unseen = (fine[row, column] == reach) & ((elevation < lowest) | (elevation > highest))
     is_unseen |= frame.plan.continued_cells[row, column]
     np.testing.assert_allclose(assumed[is_sure], np.stack((0.5 + 0 * seen, np.where(is_unseen, seen, 0.5)), 1)[is_sure])
     assert 20 < (occluded[:, 0] < reach - 1e-3).sum() < 460 and is_unseen.any()

@@ -35,19 +35,19 @@ def test_a_delay_that_was_chosen_stays():
 def test_the_field_of_view_turns_with_the_sensor():
     upside_down = dataclasses.replace(MID360, mount_angles=(180.0, 0.0, 0.0))
     part = config_for_drone(PlannerConfig(), lidar=upside_down, vehicle=VehicleModel()).unseen_space
-    assert (part.view_min, part.view_max) == (-MID360.elevation_max, -MID360.elevation_min)
+    assert part.view == "-52 7"
 
 
-def test_the_views_and_the_range_of_cameras_are_known_and_the_drone_faces_where_it_flies():
+def test_the_views_and_the_range_of_cameras_are_known():
     def config_with(lidar: str) -> PlannerConfig:
         return config_for_drone(PlannerConfig(), lidar=lidar_model(lidar), vehicle=VehicleModel())
 
-    first = {"unseen_space.view_min": -29.0, "unseen_space.view_max": 29.0, "unseen_space.view_width": 87.0}
-    second = {"unseen_space.second_min": -29.0, "unseen_space.second_max": 29.0, "unseen_space.second_width": 87.0}
-    alone = {"partition.range_max": 6.0, "anchors.facing": "flight"}
-    assert config_with("d435@20") == PlannerConfig().replace(first | alone | {"unseen_space.view_middle": 20.0})
-    assert config_with("d435+d435@180") == PlannerConfig().replace(first | second | alone)
-    assert config_with("mid360+d435") == PlannerConfig().replace(second | {"unseen_space.second_middle": 0.0})
+    def known(view: str, **changes: float) -> PlannerConfig:
+        return PlannerConfig().replace({"unseen_space.view": view, "partition.range_max": 6.0} | changes)
+
+    assert config_with("d435@20") == known("-29 29 87 20")
+    assert config_with("d435+d435@180") == known("-29 29 87; -29 29 87 180")
+    assert config_with("mid360+d435") == known("-7 52; -29 29 87", **{"partition.range_max": 10.0})
 
 
 def test_the_top_of_the_world_is_the_greatest_height():
@@ -67,7 +67,7 @@ def test_a_configuration_without_the_facts_of_its_flight_is_the_preset(preset: s
     flight = FlightSource(scene("wall", seed=0), lidar=MID360, vehicle=VehicleModel(latency=0.02)).info
     config = PlannerConfig.preset(preset)
     known = config_for_flight(config, flight)
-    assert known.unseen_space.view_min == MID360.elevation_min and known != config
+    assert known.unseen_space.view == "-7 52" and known != config
     assert config_without_facts(known, flight) == config
     chosen = known.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})
     assert config_without_facts(chosen, flight) == config.replace({"costs.height_max": 1.5, "costs.q_track": 9.0})

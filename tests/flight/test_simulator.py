@@ -3,6 +3,7 @@
 import dataclasses
 import math
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ def world(goal=(20.0, 0.0, 2.0), **tables) -> World:
     return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), **tables)
 
 
-def simulate(worlds, *, lidar=LIDAR, **rules) -> Simulator:
+def simulate(worlds, *, lidar: Any = LIDAR, **rules: Any) -> Simulator:
     worlds = [worlds] if isinstance(worlds, World) else worlds
     model = VehicleModel(thrust_min=0.0)
     return Simulator(worlds, lidar=lidar, vehicle=model, rules=FlightRules(**rules), seeds=range(len(worlds)))

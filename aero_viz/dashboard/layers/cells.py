@@ -213,11 +213,8 @@ def is_ground_known(frame: Frame) -> bool:
 def is_in_view(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells whose centre the sensor can see now, row by row, shape [rows * columns, 1]."""
     azimuth, elevation = (np.degrees(angle) for angle in _centers(full_plan(frame).fine_range.shape))
-    space = frame.config.unseen_space
-    views = ((space.view_min, space.view_max, space.view_width, space.view_middle),
-             (space.second_min, space.second_max, space.second_width, space.second_middle))  # fmt: skip
     seen = np.zeros(azimuth.shape, np.bool_)
-    for lowest, highest, width, middle in views:
+    for lowest, highest, width, middle in frame.config.unseen_space.views:
         off = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0)
         seen |= (elevation >= lowest) & (elevation <= highest) & (off <= 0.5 * width)
     return seen[:, None]

@@ -1,10 +1,13 @@
-"""The field of view of a mounted sensor, for the parameters `unseen_space.view_*`."""
+"""The fields of view of the sensors on a drone, and their text, the parameter `unseen_space.view`."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
+VIEWS = 2
+"""Largest number of views that a planner knows."""
 FULL_WIDTH = 360.0
 """Width of a view all around [deg]."""
 _TOLERANCE = math.cos(math.radians(3.0))
@@ -20,6 +23,38 @@ class View(NamedTuple):
     width: float = FULL_WIDTH
     middle: float = 0.0
     """Positive to the left [deg]."""
+
+
+_NUMBER = r"[+-]?\d+(\.\d+)?"
+_VIEW = rf" *{_NUMBER}( +{_NUMBER}){{1,3}} *"
+VIEW_PATTERN = rf"{_VIEW}(;{_VIEW}){{0,{VIEWS - 1}}}"
+"""What the text of one view or of several matches as a whole."""
+VIEW_FORM = "lowest and highest elevation [and width [and middle in azimuth]], once or twice, separated by a semicolon"
+
+
+def parse_views(text: str) -> tuple[View, ...]:
+    """Return the views in a text that matches `VIEW_PATTERN`, such as "-29 29 87 0; -29 29 87 180" [deg].
+
+    Raises:
+        ValueError: a view is empty or exceeds the sphere; quotes it.
+    """
+    parts = text.split(";")
+    views = tuple(View(*map(float, part.split())) for part in parts)
+    for view, part in zip(views, parts, strict=True):
+        if not (-90.0 <= view.lowest < view.highest <= 90.0 and 0.0 < view.width <= FULL_WIDTH):
+            raise ValueError(
+                f"{part.strip()!r}; elevations must ascend from -90 to 90 deg, and a width is at most 360 deg"
+            )
+    return views
+
+
+def format_views(views: Iterable[View]) -> str:
+    """Return the text of some views, to 0.001 deg, without what is the default."""
+    rounded = (View(*(round(number, 3) for number in view)) for view in views)
+    return "; ".join(
+        " ".join(f"{number:.7g}" for number in (view if view.middle else view[: 2 if view.width >= FULL_WIDTH else 3]))
+        for view in rounded
+    )
 
 
 def mounted_view(view: View, *, roll: float, pitch: float, yaw: float = 0.0) -> View:
@@ -44,8 +79,8 @@ def mounted_view(view: View, *, roll: float, pitch: float, yaw: float = 0.0) -> 
     if level <= -_TOLERANCE:
         view = View(-view.highest, -view.lowest, view.width, -view.middle)
     elif level < _TOLERANCE:
-        cone = min(0.5 * view.width, view.highest, -view.lowest)
+        cone = max(min(0.5 * view.width, view.highest, -view.lowest), 1.0)
         view = View(-cone, cone, 2.0 * cone, view.middle * level)
     drop = pitch * math.cos(math.radians(view.middle))
-    lowest, highest = (min(max(elevation - drop, -90.0), 90.0) for elevation in (view.lowest, view.highest))
-    return View(lowest, highest, view.width, math.remainder(view.middle + yaw, FULL_WIDTH))
+    lowest, highest = max(view.lowest - drop, -90.0), min(view.highest - drop, 90.0)
+    return View(min(lowest, 89.0), max(highest, -89.0), view.width, math.remainder(view.middle + yaw, FULL_WIDTH))

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 RENAMED: dict[str, str] = {
-    "partition.view_min": "unseen_space.view_min",
-    "partition.view_max": "unseen_space.view_max",
     "partition.view_age": "unseen_space.view_age",
     "partition.continue_below": "unseen_space.continuation",
     "partition.predict": "moving_obstacles.predict",
@@ -33,6 +31,10 @@ _NO_USE = "flights without it arrive as often"
 _FIXED = "its default is part of the planner now"
 
 REMOVED: dict[str, str] = {
+    **dict.fromkeys(
+        ("partition.view_min", "partition.view_max", "unseen_space.view_min", "unseen_space.view_max"),
+        "unseen_space.view holds the field of view",
+    ),
     **dict.fromkeys(
         (
             "costs.way_ahead", "costs.waypoint_distance", "costs.q_height", "costs.soft_speed",

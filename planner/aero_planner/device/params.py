@@ -20,6 +20,8 @@ for _info in _LIVE:
 
 
 def _warp_type(info: ParameterInfo) -> Any:
+    if info.pack is not None:
+        return wp.types.matrix(info.pack(str(info.default)).shape, wp.float32)
     return wp.int32 if info.choices or isinstance(info.default, bool | int) else wp.float32
 
 
@@ -35,5 +37,7 @@ def pack(config: PlannerConfig) -> Any:
     record: Any = np.zeros((), dtype=Params.numpy_dtype())
     for info in _LIVE:
         value = config.get(info.path)
+        if info.pack is not None:
+            value = info.pack(value)
         record[info.name] = info.choices.index(str(value)) if info.choices else value
     return record

@@ -19,10 +19,6 @@ wp.set_module_options({"enable_backward": False})
 
 BRAKING_FAN = wp.constant(5)
 """Braking candidates, the first rows after the M instances: straight ahead, then alternately left and right."""
-FACING_FLIGHT = wp.constant(1)
-"""Index of the choice "flight" of `anchors.facing`."""
-FACING_TIME = wp.constant(0.4)
-"""Time constant with which the drone turns to where it flies [s]."""
 FAN_ANGLE = wp.constant(30.0 * 3.14159265 / 180.0)
 """Angle between them [rad]."""
 
@@ -38,13 +34,6 @@ def braking_angle(candidate: int) -> float:
 def braking_end(p: wp.vec3, v: wp.vec3, angle: float, T: float, params: Params) -> wp.vec3:
     """Return where a braking guide ends that turns by an angle [rad]: brake_reach |v| T ahead [m], world frame."""
     return p + (params.brake_reach * T) * quat_rotate(quat_from_heading(angle), v)
-
-
-@wp.func
-def flight_heading(along: wp.vec3, otherwise: float) -> float:
-    """Return the heading of a direction of flight [rad], or another one where that is short or steep."""
-    level = wp.sqrt(along[0] * along[0] + along[1] * along[1])
-    return wp.where(level > wp.max(0.5, wp.abs(along[2])), wp.atan2(along[1], along[0]), otherwise)
 
 
 @wp.func
@@ -69,6 +58,7 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     model = composition.model
     constants, step, follow, respond = model.constants, model.step, model.follow, model.respond
     mean_of = mean_control(model)
+    Views, turn = composition.Views, composition.hooks.turn
 
     @wp.kernel(module="unique", enable_backward=False)
     def make_guides(
@@ -84,6 +74,7 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         cells: Cells,
         initial_directions: wp.array2d(dtype=wp.vec3),
         previous: PreviousPlan,
+        views: Views,
         # out
         guides: GuideSet,
         nominal_controls: wp.array3d(dtype=wp.vec4),
@@ -116,9 +107,6 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
                 p1 = p0 + (start.lookahead[b] / wp.max(goal_distance, 1.0e-6)) * to_goal
         else:
             heading_goal = heading(q0)
-        facing = c.facing == FACING_FLIGHT
-        if facing:
-            heading_goal = flight_heading(wp.where(m < anchor_count, p1 - p0, v0), heading(start.goal_quaternion[b]))
         if lane == 0:
             guides.anchors[b, m] = p1
             if m >= anchor_count:
@@ -132,15 +120,16 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             # Only the part of the state that the model needs to follow the guide is computed.
             k = constants(start.disturbance[b], start.drag[b], c.dt, c)
             yaw_rate = wrap_angle(heading_goal - heading(q0)) / T
+            along = wp.where(m < anchor_count, p1 - p0, v0)
+            goal_heading = heading(start.goal_quaternion[b])
             p = p0
             v = v0
             q = q0
             acting = start.control[b]
             before = start.command[b]
             for t in range(nominal_controls.shape[2]):
-                if facing:
-                    yaw_rate = wrap_angle(heading_goal - heading(q)) / FACING_TIME
-                u = follow(p, v, q, acting, curve, float(t) * c.dt, yaw_rate, k, c)
+                rate = turn(yaw_rate, q, along, goal_heading, views, c)
+                u = follow(p, v, q, acting, curve, float(t) * c.dt, rate, k, c)
                 # Where jumps have a price, controls approach what the guide asks for. Braking begins at once.
                 if m < anchor_count and c.q_control_jump > 0.0:
                     u = respond(u, before, c.dt, c)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from aero_planner.config import PlannerConfig
-from aero_planner.config.field_of_view import View, mounted_view
+from aero_planner.config.field_of_view import format_views, mounted_view
 from aero_planner.onboard.settings import OnboardConfig
 
 
@@ -15,10 +15,10 @@ def config_on_drone(planner: PlannerConfig, onboard: OnboardConfig) -> PlannerCo
     unless the planner models it; latencies are predicted by the node itself.
     """
     space, default, vehicle = planner.unseen_space, PlannerConfig().unseen_space, planner.vehicle
-    view = View(space.view_min, space.view_max)
-    if view == View(default.view_min, default.view_max):
-        view = mounted_view(view, roll=onboard.lidar.mount_roll, pitch=onboard.lidar.mount_pitch)
+    view, mount = space.view, onboard.lidar
+    if view == default.view:
+        view = format_views(mounted_view(v, roll=mount.mount_roll, pitch=mount.mount_pitch) for v in space.views)
     return planner.replace({
-        "costs.use_ground": True, "unseen_space.view_min": view.lowest, "unseen_space.view_max": view.highest,
+        "costs.use_ground": True, "unseen_space.view": view,
         "vehicle.delay": vehicle.delay or vehicle.unmodelled_delay(rate_lag=onboard.response.rate_lag),
     })  # fmt: skip

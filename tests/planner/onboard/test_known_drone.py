@@ -9,9 +9,9 @@ def test_the_field_of_view_turns_with_the_sensor_and_the_ground_is_avoided():
     inverted = OnboardConfig().replace({"lidar.mount_roll": 180.0})
     for planner in (PlannerConfig(), PlannerConfig.preset("paper")):
         flown = config_on_drone(planner, inverted)
-        assert (flown.unseen_space.view_min, flown.unseen_space.view_max) == (-52.0, 7.0)
+        assert flown.unseen_space.view == "-52 7"
         assert flown.costs.use_ground
-    chosen = PlannerConfig().replace({"unseen_space.view_min": -30.0})
+    chosen = PlannerConfig().replace({"unseen_space.view": "-30 52"})
     assert config_on_drone(chosen, inverted).unseen_space == chosen.unseen_space
 
 

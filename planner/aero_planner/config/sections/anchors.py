@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.parameters import ParameterSection, choice, live, structural
+from aero_planner.parameters import ParameterSection, live, structural
 
 
 @dataclass(frozen=True)
@@ -25,9 +25,4 @@ class AnchorConfig(ParameterSection, section="anchors"):
         0.5, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
         "speed limit; 0 as in the paper.",
         label="Look-ahead per speed limit",
-    )  # fmt: skip
-    facing: str = choice(
-        "goal", ("goal", "flight"), "Where the drone turns to. goal, as in the paper: to the goal, or to the attitude "
-        "that the goal asks for. flight: where it flies, so that a sensor that looks forward sees the way.",
-        label="Facing",
     )  # fmt: skip

@@ -1,7 +1,7 @@
 """Surfaces continued past the edges of the field of view: space that was not seen is not free.
 
 The field of view is that of one sensor or of two, each between two elevations and as wide around a middle azimuth in
-the body frame. Beside it, space is unknown from `unknown_range` on, as if a surface were there.
+the body frame. Beside it, space is unknown from `UNKNOWN_RANGE` on, as if a surface were there.
 
 What is seen at the lower edge of the field of view continues straight down, and what is seen at its upper edge straight
 up. The search runs along vertical half-planes through the drone, sampled like the fine cells: rows of equal elevation
@@ -17,14 +17,17 @@ import warp as wp
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.records import Cells, PreviousPlan, Problem
-from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_rotate, wrap_angle
+from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_rotate
 from aero_planner.kernels.partition import cells_of_thread, farthest
 from aero_planner.kernels.prediction import time_since_plan
+from aero_planner.stages.unseen_space.view import edges_at, edges_of_view, is_beside, is_narrow
 
 wp.set_module_options({"enable_backward": False})
 
 _EDGE_ROWS = wp.constant(2.0)
 """Rows inside the field of view in which a surface is at its edge; beam patterns do not fill the last one."""
+UNKNOWN_RANGE = wp.constant(2.0)
+"""Distance from which space beside the view is unknown [m]. Nearer, the drone has seen it on its way."""
 _LEAST_FLAT = wp.constant(0.2)
 """Cosine of the steepest elevation to which surfaces are continued."""
 _SAME_SURFACE = wp.constant(0.1)
@@ -44,55 +47,6 @@ def lagged_attitude(q: wp.vec4, before: wp.vec4, since: float, lag: float) -> wp
     nearest = wp.where(wp.dot(before, q) < 0.0, -before, before)
     share = since / wp.max(since + lag, 1.0e-6)
     return wp.normalize(nearest + share * (q - nearest))
-
-
-@wp.func
-def is_within(azimuth: float, middle: float, width: float) -> bool:
-    """Return True if an azimuth [rad] is within a view of some width around a middle [deg]."""
-    off = wp.abs(wrap_angle(azimuth - wp.radians(middle)))
-    return width >= 360.0 or (width > 0.0 and off <= 0.5 * wp.radians(width))
-
-
-@wp.func
-def is_narrow(c: Params) -> bool:
-    """Return True if the sensors may not see in all azimuths alike."""
-    return c.view_width < 360.0 or c.second_width > 0.0
-
-
-@wp.func
-def edges_of_view(c: Params) -> wp.vec2:
-    """Return the lowest and the highest elevation of the field of view [deg]."""
-    lowest = c.view_min
-    highest = c.view_max
-    if c.second_width > 0.0:
-        lowest = wp.min(lowest, c.second_min)
-        highest = wp.max(highest, c.second_max)
-    return wp.vec2(lowest, highest)
-
-
-@wp.func
-def is_beside(azimuth: float, c: Params) -> bool:
-    """Return True if nothing is seen at an azimuth [rad]."""
-    return not (is_within(azimuth, c.view_middle, c.view_width) or is_within(azimuth, c.second_middle, c.second_width))
-
-
-@wp.func
-def edges_at(azimuth: float, edges: wp.vec2, c: Params) -> wp.vec2:
-    """Return the lowest and the highest elevation [deg] that are seen at an azimuth [rad].
-
-    Beside the view they are `edges`, those of the whole view: ground that was seen in passing continues nowhere.
-    """
-    lowest = float(wp.INF)
-    highest = float(-wp.INF)
-    if is_within(azimuth, c.view_middle, c.view_width):
-        lowest = c.view_min
-        highest = c.view_max
-    if is_within(azimuth, c.second_middle, c.second_width):
-        lowest = wp.min(lowest, c.second_min)
-        highest = wp.max(highest, c.second_max)
-    if lowest > highest:
-        return edges
-    return wp.vec2(lowest, highest)
 
 
 @wp.kernel
@@ -313,7 +267,7 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
                 if narrow:
                     then = quat_inverse_rotate(view_quaternion[b], wp.vec3(dx[j], dy[j], dz[j]))
                     if is_beside(near_atan2(then[1], then[0]), c):
-                        distance = wp.min(wp.where(is_near, distance, range_max), c.unknown_range)
+                        distance = wp.min(wp.where(is_near, distance, range_max), UNKNOWN_RANGE)
                         is_near = True
                 if is_near and cells.occupied[b, cell] != 1:
                     cells.range[b, cell] = distance

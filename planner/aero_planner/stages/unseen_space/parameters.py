@@ -4,46 +4,30 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from aero_planner.parameters import ParameterSection, live
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner.config.field_of_view import VIEW_FORM, VIEW_PATTERN, VIEWS, View, parse_views
+from aero_planner.parameters import ParameterSection, live, table
+
+
+def pack_views(text: str) -> NDArray[np.float32]:
+    """Return the views of a text, a row for each, with zeros where there is none, [VIEWS, 4]."""
+    rows = np.zeros((VIEWS, 4), np.float32)
+    views = parse_views(text)
+    rows[: len(views)] = views
+    return rows
 
 
 @dataclass(frozen=True)
 class Parameters(ParameterSection, section="unseen_space"):
     """Unseen space: surfaces continue beyond the edges of the field of view."""
 
-    view_min: float = live(
-        -7.0, "deg", -90.0, 90.0, "Lowest elevation that the sensor sees, body frame. What lies below is unknown.",
-        label="Lower edge of the view",
-    )  # fmt: skip
-    view_max: float = live(
-        52.0, "deg", -90.0, 90.0, "Highest elevation that the sensor sees, body frame.", label="Upper edge of the view"
-    )
-    view_width: float = live(
-        360.0, "deg", 0.0, 360.0, "Width of the view in azimuth. What lies beside it is unknown.",
-        label="Width of the view",
-    )  # fmt: skip
-    view_middle: float = live(
-        0.0, "deg", -180.0, 180.0, "Azimuth of the middle of the view, body frame, positive to the left.",
-        label="Middle of the view",
-    )  # fmt: skip
-    second_min: float = live(
-        -90.0, "deg", -90.0, 90.0, "Lowest elevation that a second sensor sees.", label="Lower edge of a second view"
-    )
-    second_max: float = live(
-        90.0, "deg", -90.0, 90.0, "Highest elevation that a second sensor sees.", label="Upper edge of a second view"
-    )
-    second_width: float = live(
-        0.0, "deg", 0.0, 360.0, "Width in azimuth of what a second sensor sees; 0 without one.",
-        label="Width of a second view",
-    )  # fmt: skip
-    second_middle: float = live(
-        180.0, "deg", -180.0, 180.0, "Azimuth of the middle of a second view, body frame, positive to the left.",
-        label="Middle of a second view",
-    )  # fmt: skip
-    unknown_range: float = live(
-        2.0, "m", 0.0, 20.0, "Distance from which space beside the view, where no surface was measured, counts as a "
-        "surface. Nearer, the drone has seen it on its way.",
-        label="Begin of unknown space",
+    view: str = table(
+        "-7 52", VIEW_PATTERN, VIEW_FORM, pack_views, "What the sensors see, body frame [deg]: lowest and highest "
+        "elevation, width and middle in azimuth, positive to the left; a second view follows a semicolon, as in "
+        "-29 29 87; -29 29 87 180. What lies beside is unknown; with a narrow view, the drone looks where it flies.",
+        label="Field of view",
     )  # fmt: skip
     continuation: float = live(
         20.0, "m", 0.0, 20.0, "Length by which a surface at the lower or upper edge of the field of view is continued "
@@ -55,3 +39,15 @@ class Parameters(ParameterSection, section="unseen_space"):
         "that surfaces near the edges of the field of view are continued as well.",
         label="Age of the view",
     )  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            parse_views(self.view)
+        except ValueError as error:
+            raise ValueError(f"unseen_space.view has {error}.") from None
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """The fields of view of the sensors."""
+        return parse_views(self.view)

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from aero_planner.array_memory import array
 from aero_planner.config import PlannerConfig
 from aero_planner.recorder import Recorder
-from aero_planner.stage import Launches, Stage
+from aero_planner.stage import Hooks, Launches, Stage
 from aero_planner.stages.unseen_space import continuation
 from aero_planner.stages.unseen_space.continuation import CONTINUED, READ_ROWS
+from aero_planner.stages.unseen_space.view import look_ahead
 
 _NAME = "unseen_space"
 
@@ -78,5 +79,6 @@ STAGE = Stage(
     arrays=Arrays,
     reports={"continued_cells": _continued_cells},
     symbols=_symbols,
+    hooks=Hooks(turn=look_ahead),
     launches={"start": _follow, "cells": _continue},
 )

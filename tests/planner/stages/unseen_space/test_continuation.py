@@ -65,7 +65,8 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: 
 
     `measured` is a plan without them, and `before` the attitude at the plan before, which was the first one.
     """
-    view, R, ranges = config.unseen_space, reference.rotation(reference.unit(case.quaternion)), measured.fine_range
+    space, R, ranges = config.unseen_space, reference.rotation(reference.unit(case.quaternion)), measured.fine_range
+    view = space.views[0]
     rows, columns = ranges.shape
     elevation = np.repeat((np.arange(rows) + 0.5) * np.pi / rows - np.pi / 2, columns)
     azimuth = np.tile((np.arange(columns) + 0.5) * 2 * np.pi / columns - np.pi, rows)
@@ -78,14 +79,14 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: 
 
     q, before = reference.unit(case.quaternion), reference.unit(before)
     period = config.sampling.replan_period
-    share = period / (period + view.view_age)
+    share = period / (period + space.view_age)
     seen_from = reference.rotation(reference.unit((1.0 - share) * before * np.sign(before @ q) + share * q))
     offsets = np.full((3, rows * columns), np.inf)
     offsets[:, ranges.ravel() < config.farthest_range] = (
         np.asarray(measured.filtered_points, dtype=float) - case.position
     ).T
     result = ranges.ravel().astype(float)
-    lower, upper = elevation - np.radians(view.view_min), np.radians(view.view_max) - elevation
+    lower, upper = elevation - np.radians(view.lowest), np.radians(view.highest) - elevation
     world = R @ directions
     flat = np.hypot(world[0], world[1])
     for side in (0, 1):
@@ -93,9 +94,9 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: 
         x = offsets[:, source]
         has_point = np.isfinite(x[0])
         x[:, ~has_point] = 1.0
-        earlier = seen_from.T @ (x + view.view_age * case.velocity[:, None])
+        earlier = seen_from.T @ (x + space.view_age * case.velocity[:, None])
         angle = np.arctan2(earlier[2], np.hypot(earlier[0], earlier[1]))
-        then = angle - np.radians(view.view_min) if side == 0 else np.radians(view.view_max) - angle
+        then = angle - np.radians(view.lowest) if side == 0 else np.radians(view.highest) - angle
         is_edge = np.minimum((lower, upper)[side][source], then) <= 2 * np.pi / rows
         away = np.where(has_point & is_edge, np.hypot(x[0], x[1]), np.inf).reshape(rows, columns)
         height = x[2].reshape(rows, columns)
@@ -108,7 +109,7 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: 
         place = cells_of(world)
         distance = away.ravel()[place] / np.maximum(flat, 0.2)
         depth = (height.ravel()[place] - distance * world[2]) * (1 if side == 0 else -1)
-        is_filled = (lower <= upper if side == 0 else upper < lower) & (flat >= 0.2) & (depth <= view.continuation)
+        is_filled = (lower <= upper if side == 0 else upper < lower) & (flat >= 0.2) & (depth <= space.continuation)
         is_filled &= (distance <= config.farthest_range) & (ranges.ravel() == config.farthest_range)
         result[is_filled] = distance[is_filled]
     return result

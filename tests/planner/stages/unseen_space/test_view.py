@@ -8,26 +8,18 @@ import pytest
 
 from aero_planner import Planner, PlannerConfig
 from aero_planner.quaternions import quaternion_from_angles
+from aero_planner.stages.unseen_space.continuation import UNKNOWN_RANGE
 from tests.planner import reference
-from tests.planner.cases import PLAN_ARRAYS, Case, config_of, level_case, random_case
+from tests.planner.cases import Case, assert_same, config_of, level_case, random_case
 
-VIEWS: dict[str, dict[str, Any]] = {
-    "forward": {"view_width": 87.0},
-    "to the left": {"view_width": 60.0, "view_middle": 150.0, "unknown_range": 1.3},
-    "forward and back": {
-        "view_width": 87.0,
-        "second_width": 120.0,
-        "second_middle": 180.0,
-        "second_min": -7.0,
-        "second_max": 52.0,
-    },
+VIEWS = {
+    "forward": "-7 52 87",
+    "to the left": "-7 52 60 150",
+    "forward and back": "-7 52 87; -7 52 120 180",
 }
-TURNING: dict[str, Any] = {"anchors__facing": "flight", "way_out__spread": 1.0, "way_out__rise": 1.0}
-"""The drone faces where it flies, and anchors have their usual spacing although it is slow."""
-
-
-def config_with(**view: Any) -> PlannerConfig:
-    return config_of(**{f"unseen_space__{name}": value for name, value in view.items()})
+UNKNOWN = float(UNKNOWN_RANGE)
+SLOW: dict[str, Any] = {"way_out__spread": 1.0, "way_out__rise": 1.0}
+"""Anchors have their usual spacing although the drone is slow."""
 
 
 def is_beside(config: PlannerConfig, case: Case, before: np.ndarray) -> np.ndarray:
@@ -46,7 +38,7 @@ def is_beside(config: PlannerConfig, case: Case, before: np.ndarray) -> np.ndarr
     seen = then.T @ world
     angle = np.degrees(np.arctan2(seen[1], seen[0]))
     beside = np.ones(rows * columns)
-    for middle, width in ((space.view_middle, space.view_width), (space.second_middle, space.second_width)):
+    for _, _, width, middle in space.views:
         off = np.abs((angle - middle + 180.0) % 360.0 - 180.0) - width / 2
         beside[off < 0.0] = 0.0
         beside[np.abs(off) < 1e-3] = np.nan
@@ -55,10 +47,9 @@ def is_beside(config: PlannerConfig, case: Case, before: np.ndarray) -> np.ndarr
 
 
 @pytest.mark.parametrize("view", VIEWS.values(), ids=VIEWS)
-def test_cells_beside_the_view_end_where_unknown_space_begins(device: str, view: dict[str, Any]):
+def test_cells_beside_the_view_end_where_unknown_space_begins(device: str, view: str):
     """The drone has turned since the plan before: what has come into view since is not known yet."""
-    config = config_with(**view)
-    all_around = config_with(**view | {"view_width": 360.0})
+    config, all_around = config_of(unseen_space__view=view), config_of()
     for seed in range(3):
         case = random_case(seed, count=2000, tilt=0.4)
         turned = dataclasses.replace(case, quaternion=random_case(seed + 100, tilt=0.4).quaternion)
@@ -70,7 +61,7 @@ def test_cells_beside_the_view_end_where_unknown_space_begins(device: str, view:
         beside = is_beside(config, case, turned.quaternion)
         found, open_range = plans[0].fine_range.ravel(), plans[1].fine_range.ravel()
         is_measured = (open_range < config.farthest_range) & ~plans[1].continued_cells.ravel()
-        blocked = np.minimum(open_range, config.unseen_space.unknown_range)
+        blocked = np.minimum(open_range, UNKNOWN)
         expected = np.where((beside == 1.0) & ~is_measured, blocked, open_range)
         compared = ~np.isnan(beside)
         np.testing.assert_allclose(found[compared], expected[compared], atol=1e-4)
@@ -83,11 +74,11 @@ def test_unknown_space_is_avoided_like_a_surface(device: str):
     case.points = np.full((1, 3), 1e3, np.float32)
     case.velocity = np.zeros(3)
     case.goal = case.beside(0.0, 20.0, 0.0)
-    free = case.plan(Planner(config_of(**TURNING), device=device))
-    narrow = case.plan(Planner(config_of(unseen_space__view_width=60.0, **TURNING), device=device))
+    free = case.plan(Planner(config_of(**SLOW), device=device))
+    narrow = case.plan(Planner(config_of(unseen_space__view="-7 52 60", **SLOW), device=device))
     assert free.collision_cost[:15].max() == 0.0
     x, y, _ = np.moveaxis(narrow.positions[:15][narrow.collision_cost[:15] == 0.0] - case.position, 2, 0)
-    is_far = np.hypot(x, y) > 2.0
+    is_far = np.hypot(x, y) > UNKNOWN
     assert x.size > 0 and (np.degrees(np.abs(np.arctan2(y, x)))[is_far] < 30.0).all()
     assert narrow.controls[narrow.best, :5, 3].mean() > 1.0, "turns to the left"
 
@@ -97,17 +88,19 @@ def test_a_candidate_turns_to_where_it_flies(device: str):
     case = level_case()
     case.points = np.full((1, 3), 1e3, np.float32)
     case.quaternion = quaternion_from_angles(0.0, 0.0, 25.0)
-    plan = case.plan(Planner(config_of(sampling__variance_rate_z=0.0, **TURNING), device=device))
+    plan = case.plan(
+        Planner(config_of(sampling__variance_rate_z=0.0, unseen_space__view="-7 52 200", **SLOW), device=device)
+    )
     offset = plan.anchors[:15] - case.position
     turn = np.arctan2(offset[:, 1], offset[:, 0]) - np.radians(25.0)
     np.testing.assert_allclose(plan.controls[:15, 0, 3], np.clip(turn / 0.4, -2.0, 2.0), atol=1e-3)
 
 
-def test_a_view_all_around_leaves_every_plan_as_it_is(device: str):
+def test_views_all_around_leave_every_plan_as_it_is(device: str):
+    """The second view adds nothing to the first one."""
     case = random_case(4, count=3000, tilt=0.4)
-    plans = [
-        case.plan(Planner(config_with(unknown_range=reach, view_middle=turn), device=device))
-        for reach, turn in ((2.0, 0.0), (0.1, 77.0))
-    ]
-    for name in PLAN_ARRAYS:
-        np.testing.assert_array_equal(getattr(plans[0], name), getattr(plans[1], name), err_msg=name)
+    once, twice = (
+        case.plan(Planner(config_of(unseen_space__view=view), device=device))
+        for view in ("-7 52", "-7 52 360 90; -7 52 30 10")
+    )
+    assert_same(once, twice)
