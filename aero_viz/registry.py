@@ -22,6 +22,7 @@ from aero_planner.registry import PlugIn, find_attribute, plug_ins
 from aero_viz.errors import UserError
 
 T = TypeVar("T")
+R = TypeVar("R")
 _PLACE = re.compile(r"[^\W\d][\w.]*:[^\W\d][\w.]*")
 _log = logging.getLogger(__name__)
 
@@ -149,6 +150,16 @@ class Registry(Mapping[str, T]):
                 _log.warning("%s", error)
             return str(error)
         return ""
+
+    def made(self, name: str, make: Callable[[T], R]) -> R | None:
+        """Return what is made of a part; None for one that was brought and fails, which is logged with its error."""
+        try:
+            return make(self[name])
+        except Exception as error:  # whatever a brought part raises
+            if name in self.shipped:
+                raise
+            _log.warning("The %s %s is left out: %s: %s", self.kind, name, type(error).__name__, one_line(error))
+            return None
 
     def load(self, name: str) -> T:
         """Return the part that a user names on the command line or in a program: by its name, or by its place.

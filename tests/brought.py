@@ -50,3 +50,17 @@ class Note(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         gui.add_markdown("A note.")
+
+
+class Raising(Panel):
+    title = "Raising"
+
+    def create(self, gui: viser.GuiApi) -> None:
+        raise KeyError("torn apart")
+
+
+class RaisingLayer(Layer):
+    name, title = "raising", "Raising"
+
+    def create(self, scene: viser.SceneApi) -> None:
+        raise KeyError("torn apart")

@@ -43,7 +43,12 @@ PAGE = """
 import sys
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
+from aero_viz.dashboard.layers import LAYERS
+from aero_viz.dashboard.panels.layout import PANELS
 from aero_viz.session import Session
+from brought import Raising, RaisingLayer
+LAYERS.add("raising", RaisingLayer)
+PANELS.add("raising", Raising)
 session = Session(open_source("gate", lidar="sparse", seed=1))
 dashboard = Dashboard(session, port=0)
 frame = session.tick()
@@ -109,9 +114,12 @@ def test_what_was_brought_is_used_like_what_ships(installed: dict[str, str], tmp
 
 
 def test_a_page_has_the_layers_and_panels_that_were_brought(installed: dict[str, str]):
-    words = python(installed, "-c", PAGE)[0].split()
+    text, error = python(installed, "-c", PAGE)
+    words = text.split()
     assert {"nothing", "rollouts", "Note", "ChartPanel"} <= set(words) and words[-1] == "True"
-    assert "something" not in words
+    assert not {"something", "raising", "Raising"} & set(words)
+    for part in ("layer", "panel"):
+        assert f"The {part} raising is left out: KeyError: 'torn apart'" in error
 
 
 def take(name: str, found: Any) -> int:

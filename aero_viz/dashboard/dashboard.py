@@ -98,8 +98,8 @@ class Dashboard:
         """The web server."""
         self.server.catch_up = session.catch_up
         self.server.number_fields.on_waiting = self.refresh
-        drawable = LAYERS.values() if layers is None else layers
-        kinds = [kind for kind in drawable if session.controls is not None or not kind.needs_samples]
+        offered = dict(LAYERS) if layers is None else {kind.name: kind for kind in layers}
+        kinds = [name for name, kind in offered.items() if session.controls is not None or not kind.needs_samples]
         self.layers: dict[str, Layer]
         """The layers by name."""
         self.panels: list[Panel]
@@ -121,7 +121,8 @@ class Dashboard:
         self._sink: Mailbox[Any] | None = None
         known = {type(layer): layer for layer in drawn}
         with self.server.atomic():  # a page that is already open builds the panels once
-            self.layers = {kind.name: known.get(kind) or kind(self.server) for kind in kinds}
+            made = [known.get(offered[name]) or self._make_layer(name, offered[name]) for name in kinds]
+            self.layers = {layer.name: layer for layer in made if layer is not None}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
                 offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study, fly_seeds)
@@ -141,6 +142,10 @@ class Dashboard:
         if self._comparison is not None:
             self._comparison_sink = self._comparison.subscribe(self._follow_comparison, name="comparison")
         self.server.on_client_connect(self._welcome)
+
+    def _make_layer(self, name: str, kind: type[Layer]) -> Layer | None:
+        """Return a new layer, None for a brought one that cannot be made."""
+        return kind(self.server) if LAYERS.get(name) is not kind else LAYERS.made(name, lambda kind: kind(self.server))
 
     @property
     def url(self) -> str:

@@ -202,14 +202,14 @@ def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
     }
     if controls is not None:
         actions |= {"undo": lambda _: controls.undo(), "redo": lambda _: controls.redo()}
-    shown = list(PANELS.values())
-    panels.append(open_tabs := OpenTabs(page, [tab.title for tab in shown]))
+    shown = dict(PANELS)
+    panels.append(open_tabs := OpenTabs(page, [tab.title for tab in shown.values()]))
     desk = Desk(page, offer, camera, open_tabs, actions)
     tabs = gui.add_tab_group()
-    for tab in shown:
+    for name, tab in shown.items():
         if tab.is_there(desk):
             with tabs.add_tab(tab.title, tab.icon) as handle:
-                panels += tab.build(desk, handle)
+                panels += PANELS.made(name, lambda tab, handle=handle: tab.build(desk, handle)) or []
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
         panels.append(state := StatusPanel(page))
