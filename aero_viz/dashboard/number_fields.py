@@ -11,6 +11,7 @@ from typing import Any
 import viser
 
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.page_messages import NUMBER_MAX
 from aero_viz.errors import UserError
 
 _FIELDS = (viser.GuiNumberHandle, viser.GuiSliderHandle, viser.GuiVector2Handle, viser.GuiVector3Handle)
@@ -42,7 +43,8 @@ if (!window.aeroNumbers) {
     const message = {type: "AeroNumberMessage", uuid: edit.uuid, index: edit.index, text, is_over: isOver};
     post.call(worker, {type: "send", message});
     clearTimeout(edit.timer);
-    if (!isOver) edit.timer = setTimeout(end, edit.isTyped ? TYPING_MAX : FOCUS_MAX, true);
+    if (isOver) clearInterval(edit.watch);
+    else edit.timer = setTimeout(end, edit.isTyped ? TYPING_MAX : FOCUS_MAX, true);
   };
   const isSame = (a, b) => a === b || (a.trim() && b.trim() && Number(a) === Number(b));
   const show = (field, text) => {
@@ -50,17 +52,23 @@ if (!window.aeroNumbers) {
     field.dispatchEvent(new Event("input", {bubbles: true}));
   };
   const end = isKept => {
-    const {field, before, refused, isTyped, shown} = edit, text = refused ?? shown;
+    const {field, before, refused, isTyped, shown, typed} = edit;
+    const text = refused === null ? shown : refused === typed ? typed : `${refused}..`;
     tell(isTyped && isKept && (refused || !isSame(text, before)) ? text : null, true);
     edit = null;
-    const isNumber = isKept && refused === null && text.trim() && Number.isFinite(Number(text));
-    if (isTyped && field.value !== (isNumber ? shown : before)) show(field, isNumber ? shown : before);
+    const isNumber = isKept && text.trim() && Number.isFinite(Number(text));
+    const result = !isNumber ? before : refused === null ? shown : `${Number(text)}`;
+    if (isTyped && field.value !== result) show(field, result);
+  };
+  const keep = () => {  // after an update that was on its way
+    if (edit.isTyped && edit.field.value !== edit.shown) show(edit.field, edit.shown);
   };
   const begin = target => {
     if (!worker || !isField(target) || edit?.field === target) return;
     if (edit) end(true);
     const index = fields(target).indexOf(target);
     edit = {field: target, uuid: control(target), index, refused: null, typed: "", shown: target.value};
+    edit.watch = setInterval(keep, 100);
     tell(null, false);
   };
   addEventListener("focusin", ({target}) => begin(target), true);
@@ -68,7 +76,7 @@ if (!window.aeroNumbers) {
     if (inputType === "insertLineBreak") return;  // Enter
     begin(target);
     if (edit?.field !== target) return;
-    if (edit.isTyped && target.value !== edit.shown) show(target, edit.shown);  // an update was on its way
+    keep();
     if (edit.isTyped) return;
     quiet.add(edit.uuid);
     edit.before = target.value;
@@ -79,9 +87,12 @@ if (!window.aeroNumbers) {
   }, true);
   addEventListener("input", ({target}) => {  // the page has dropped by now what it does not take, such as letters
     if (edit?.field !== target) return;
-    if (edit.typed.length < 2) edit.refused = null;
-    if (!isSame(edit.typed, target.value)) edit.refused ??= edit.typed;
-    edit.shown = target.value;
+    const {typed} = edit, shown = target.value, hasPoint = shown.includes(".");
+    const isWhole = isSame(typed, shown) && typed.includes(".") === hasPoint;
+    const isCut = hasPoint && typed.startsWith(shown) && /^\d+$/.test(typed.slice(shown.length));  // more decimals
+    if (typed.length < 2) edit.refused = null;
+    if (!isWhole && !isCut) edit.refused ??= typed;
+    edit.shown = shown;
     tell(null, false);
   });
   addEventListener("keydown", ({target, key}) => {
@@ -186,8 +197,10 @@ def _refusal(text: str, low: float | None, high: float | None, *, whole: bool) -
         number = float(text)
     except ValueError:
         number = math.nan
-    if not math.isfinite(number):
+    if math.isnan(number):
         return f"{text!r} is not a number in digits, such as -1.5"
+    if abs(number) > NUMBER_MAX:
+        return f"{text} is too large"
     if whole and number != int(number):
         return f"{text} is not a whole number"
     if low is not None and number < low:

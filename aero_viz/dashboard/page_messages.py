@@ -166,7 +166,7 @@ MESSAGES: Any = (
 )  # fmt: skip
 _decoder = msgspec.msgpack.Decoder(MESSAGES)
 
-_NUMBER_MAX = 1e15
+NUMBER_MAX = 1e15
 """No setting is larger, and a browser does not store larger numbers exactly."""
 _TEXT_MAX = 5000
 """Length of the longest text; no path is longer."""
@@ -273,7 +273,7 @@ def _accepted(control: Any, value: Any) -> Any:
 
 
 def _fit_number(value: Any, low: float | None, high: float | None) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < _NUMBER_MAX:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < NUMBER_MAX:
         return None
     raised = value if low is None else max(value, low)
     return raised if high is None else min(raised, high)

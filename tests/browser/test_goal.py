@@ -81,7 +81,7 @@ def test_a_goal_dragged_into_the_ground_is_refused_and_the_arrows_return(near):
     near.wait_for(lambda: near.session.frame.index == index + 1, "the next tick")
 
 
-@pytest.mark.parametrize("value", ["1e30", "-900"])
+@pytest.mark.parametrize("value", ["1e9", "-900"])  # from 1e15 on, the field itself refuses a number
 def test_a_goal_outside_the_world_is_refused_and_the_numbers_return(near, value):
     before = goal_of(near)
     x = coordinates(near)[0]

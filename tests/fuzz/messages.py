@@ -20,6 +20,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "ViewerCameraMessage": (
         "wxyz", "position", "fov", "near", "far", "image_height", "image_width", "look_at", "up_direction",
     ),
+    "AeroNumberMessage": ("uuid", "index", "text", "is_over"),
     "GuiFormSubmitMessage": ("uuid",),
     "GuiFormDirtyMessage": ("uuid",),
     "CommandTriggerMessage": ("uuid",),

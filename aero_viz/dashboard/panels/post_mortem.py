@@ -116,7 +116,7 @@ class PostMortemPanel(Panel):
     def _offer(self, cause: str, config: DroneConfig) -> None:
         """Offer what to try against a cause."""
         self._offered = against(cause, config)
-        heading = "apply and fly again" if self._offered else "No parameter is known that helps against this."
+        heading = "Apply and fly again:" if self._offered else "No parameter is known that helps against this."
         self._advice.content, self._advice.visible = markup.block(markup.muted(heading)), True
         for number, button in enumerate(self._tries):
             button.visible = number < len(self._offered)

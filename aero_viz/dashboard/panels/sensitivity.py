@@ -87,10 +87,11 @@ def _table(frame: Frame, found: list[Sensitivity]) -> str:
     """Return the strongest effects on the plan of a frame as HTML."""
     visible = [one for one in found if one.is_visible]
     rows = [(one.info.title, _text(one.less), _text(one.more)) for one in visible[:_LINES]]
-    header = (f"plan at {frame.time:.2f} s: {len(visible)} of {len(found)}", f"−{SHARE:.0%}", f"+{SHARE:.0%}")
+    header = (f"plan at {frame.time:.2f} s", f"−{SHARE:.0%}", f"+{SHARE:.0%}")
     table = markup.columns(header, rows, [one.info.path for one in visible])
-    legend = markup.note("Another choice, and the change of the clearance [m].")
-    return markup.block(f'<div class="aero-sensitivity">{table}</div>', legend)
+    legend = f"{len(visible)} of {len(found)} parameters matter: the choice where it is another one, and the change of "
+    legend += "its clearance [m]."
+    return markup.block(f'<div class="aero-sensitivity">{table}</div>', markup.muted(legend))
 
 
 def _text(effect: Effect | None) -> str:
