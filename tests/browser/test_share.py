@@ -141,7 +141,7 @@ def test_a_shared_page_becomes_a_video(shared, tmp_path):
 def test_a_video_on_a_full_disk_is_refused(shared, tmp_path):
     (tmp_path / "flight.mp4").symlink_to("/dev/full")
     options = {"duration": 0.2, "size": (320, 200), "report": lambda _: None}
-    with ThreadPoolExecutor(1) as pool, pytest.raises(UserError, match="The video cannot be encoded: .*space"):
+    with ThreadPoolExecutor(1) as pool, pytest.raises(UserError, match=r"The video cannot be encoded: .*space"):
         pool.submit(write_video, shared, tmp_path / "flight.mp4", **options).result()
 
 
