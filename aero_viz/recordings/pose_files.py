@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -32,6 +32,8 @@ T = TypeVar("T")
 ULOG_MAGIC = b"ULog\x01\x12\x35"
 _LINE_MAX = 4096  # [bytes]
 _UNITS = {"": 1.0, "in milliseconds": 1e-3, "in microseconds": 1e-6, "in nanoseconds": 1e-9}
+_MOUNT_MAX = 100.0
+"""Largest distance of a LiDAR from the camera [m]."""
 _STEP_MIN, _STEP_MAX = 5e-4, 5.0
 """Shortest and longest plausible time between two poses of a text [s]; others are in another unit."""
 _SQRT_HALF = float(np.sqrt(0.5))
@@ -198,7 +200,11 @@ def _poses_of_sweeps(table: PoseTable, path: Path, recording: Recording) -> tupl
 
 
 def _camera_mount(poses: Path, recording: Path) -> tuple[Path, NDArray[np.float64]] | None:
-    """Return KITTI's calibration near the poses or the clouds, and the pose of the LiDAR in its camera [4, 4]."""
+    """Return KITTI's calibration near the poses or the clouds, and the pose of the LiDAR in its camera [4, 4].
+
+    Raises:
+        UserError: it holds something else than a pose.
+    """
     for folder in dict.fromkeys((poses.parent, recording, recording.parent)):
         try:
             lines = read_user_text(folder / "calib.txt", limit=_LINE_MAX).splitlines()
@@ -207,10 +213,17 @@ def _camera_mount(poses: Path, recording: Path) -> tuple[Path, NDArray[np.float6
         for line in lines:
             name, _, numbers = line.partition(":")
             if name.strip() in ("Tr", "Tr_velo_to_cam") and len(numbers.split()) == 12:
-                matrix = np.vstack([np.array(numbers.split(), np.float64).reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
-                if abs(np.linalg.det(matrix) - 1.0) < 0.1:
-                    return folder / "calib.txt", matrix
+                matrix = np.eye(4)
+                with suppress(ValueError):
+                    matrix[:3] = np.array(numbers.split(), np.float64).reshape(3, 4)
+                    if np.abs(matrix).max() <= _MOUNT_MAX and _is_rotation(matrix[:3, :3]):
+                        return folder / "calib.txt", matrix
+                raise UserError(f"{folder / 'calib.txt'} has no pose of the LiDAR at {name}: correct or remove it.")
     return None
+
+
+def _is_rotation(matrix: NDArray[np.float64]) -> bool:
+    return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 0.1 and np.linalg.det(matrix) > 0.0)
 
 
 def _move_to_sensor(table: PoseTable, mount: NDArray[np.float64]) -> PoseTable:

@@ -162,7 +162,7 @@ def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDA
         try:
             numbers.extend(map(float, words))
         except ValueError as error:
-            raise UserError(f"{path} holds something else than numbers: {one_line(error)}.") from error
+            raise UserError(f"{path} holds something else than numbers: {_first_text(words)!r}.") from error
         if len(numbers) > _NUMBERS_MAX:
             raise UserError(f"{path} holds more than {_NUMBERS_MAX // width} poses; cut it.")
     if not numbers:
@@ -170,6 +170,16 @@ def _read_table(path: Path, file: BinaryIO) -> tuple[tuple[str, ...] | None, NDA
     if columns is not None:
         columns = tuple(name for name in columns if name in _OF_A_POSE)
     return columns, np.frombuffer(numbers, np.float64).reshape(-1, width if columns is None else len(columns))
+
+
+def _first_text(words: list[bytes]) -> str:
+    """Return the first of some words that is no number."""
+    for word in words:
+        try:
+            float(word)
+        except ValueError:
+            return word[:60].decode("utf-8", errors="replace")
+    return ""
 
 
 def _words(line: bytes) -> list[bytes]:

@@ -17,6 +17,13 @@ _DIGITS_MAX = 4000
 _folders: tuple[str, ...] | None = None
 
 
+class NotTextError(UnicodeDecodeError):
+    """A file is not UTF-8; its text completes the sentence "FILE is ..."."""
+
+    def __str__(self) -> str:
+        return f"not UTF-8 text (byte {self.start})"
+
+
 def restrict_user_files(folders: Iterable[str | os.PathLike[str]] | None) -> None:
     """Let `open_user_file` open only what lies in these folders, after all links are resolved; None lifts this.
 
@@ -100,9 +107,12 @@ def read_user_text(path: str | os.PathLike[str], *, limit: int) -> str:
 
     Raises:
         OSError: the file cannot be read or is larger; `strerror` says which.
-        UnicodeDecodeError: it is not UTF-8.
+        NotTextError: it is not UTF-8.
     """
-    return read_user_bytes(path, limit=limit).decode("utf-8-sig")
+    try:
+        return read_user_bytes(path, limit=limit).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise NotTextError(*error.args) from None
 
 
 def parse_json(text: str | bytes, make_object: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:

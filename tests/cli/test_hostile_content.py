@@ -75,6 +75,7 @@ MALFORMED = {
     "a.npy": "\x93NUMPY",
     "a.glb": "glTF",
     "a.yaml": "image: a.png\nresolution: x\n",
+    "no_text.yaml": "\xff\xfe\x95",
     "a.png": "\x89PNG",
     "a.pgm": "",
     "cut.pgm": "P5 9 9 255\n1",
@@ -89,7 +90,8 @@ def test_no_error_is_in_the_words_of_python(capsys, tmp_path: Path, name: str):
     (tmp_path / name).write_text(MALFORMED[name], encoding="latin-1")
     error = run_refused(capsys, "world", "info", str(tmp_path / name))
     assert name in error and error.count("\n") == 1
-    for words in ("sys.", "index", "convert", "literal", "Error", "dimension", "unpack", "object", "<", "identify"):
+    python = ("sys.", "index", "convert", "codec", "literal", "Error", "dimension", "unpack", "object", "<", "identify")
+    for words in python:
         assert words not in error, error
 
 

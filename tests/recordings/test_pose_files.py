@@ -175,3 +175,25 @@ def test_lines_that_are_no_poses_are_refused(tmp_path: Path, line: str):
     (tmp_path / "poses.txt").write_text(f"{line}\n")
     with pytest.raises(UserError, match="every line must have 8 numbers"):
         read_pose_file(tmp_path / "poses.txt")
+
+
+@pytest.mark.parametrize("line", ["1 2 3 4 5 6 7 F", "1,2,3,4,x\x1by,6,7,8", "1 2 3 4 5 6 7 \xff"])
+def test_what_is_no_number_is_quoted(tmp_path: Path, line: str):
+    (tmp_path / "poses.txt").write_text(f"{line}\n", encoding="latin-1")
+    with pytest.raises(UserError, match=r"something else than numbers: '[^']+'\.") as caught:
+        read_pose_file(tmp_path / "poses.txt")
+    assert str(caught.value).isprintable() and "convert" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["x", "0x1", "nan", "inf", "1e300", "7"])
+def test_a_damaged_calibration_next_to_the_poses_is_named(tmp_path: Path, recwarn: pytest.WarningsRecorder, value: str):
+    for k in range(3):
+        np.save(tmp_path / f"{k:06d}.npy", bags.wall(50))
+    (tmp_path / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
+    for place in (1, 3) if value != "7" else (1,):
+        numbers = ["1", "0", "0", "0", "0", "1", "0", "0", "0", "0", "1", "0"]
+        numbers[place] = value
+        (tmp_path / "calib.txt").write_text(f"Tr: {' '.join(numbers)}\n")
+        with pytest.raises(UserError, match=r"calib\.txt has no pose of the LiDAR at Tr: correct or remove it"):
+            open_recording(tmp_path)
+    assert not recwarn.list

@@ -22,7 +22,9 @@ def write(path: Path, *scans: np.ndarray, states: np.ndarray | None = None, **po
     """Write scans, each of x, y, z in its own frame."""
     with pye57.E57(str(path), mode="w") as file:
         for scan in scans:
-            fields = dict(zip(("cartesianX", "cartesianY", "cartesianZ"), np.ascontiguousarray(scan.T), strict=True))
+            fields = {
+                f"cartesian{axis}": column for axis, column in zip("XYZ", np.ascontiguousarray(scan.T), strict=True)
+            }
             if states is not None:
                 fields["cartesianInvalidState"] = states
             file.write_scan_raw(fields, **pose)
