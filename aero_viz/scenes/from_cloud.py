@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -211,13 +212,14 @@ class _Ground:
             (a, b, c, d), _ = point_cloud(lows).segment_plane(self._tolerance, 3, 1000)
             if abs(c) < _GROUND_SLOPE:
                 return
-            plane = -np.array([a, b, d]) / c
+            plane: Array = -np.array([a, b, d]) / c
             around = points[np.isin(self._numbers(points), self._numbers(lows))]
             for _ in range(3):
                 near = around[np.abs(around[:, 2] - _heights(around, plane)) <= self._tolerance]
                 if len(near) < least:
                     return
-                plane = np.linalg.lstsq(np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2], rcond=None)[0]
+                columns = np.column_stack([near[:, :2], np.ones(len(near))])
+                plane = np.linalg.lstsq(columns, near[:, 2], rcond=None)[0].astype(np.float64)
             carried = np.abs(lows[:, 2] - _heights(lows, plane)) <= 1.5 * self._tolerance
             if carried.sum() < least:
                 return
@@ -230,7 +232,7 @@ class _Ground:
         labels = np.where(errors.min(axis=0) <= 1.5 * self._tolerance, errors.argmin(axis=0), -1)
         cells = tuple(self._cells(lows).T)
         self._labels[cells] = labels
-        nearest = ndimage.distance_transform_edt(self._labels < 0, return_distances=False, return_indices=True)
+        nearest: Any = ndimage.distance_transform_edt(self._labels < 0, return_distances=False, return_indices=True)
         filled = self._labels[tuple(nearest)]
         above = np.ones(filled.shape, dtype=bool)
         above[cells] = lows[:, 2] > [_heights(p, self.planes[k]) for p, k in zip(lows, filled[cells], strict=True)]
