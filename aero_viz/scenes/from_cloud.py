@@ -33,6 +33,7 @@ TOLERANCE_RANGE = (0.01, 1.0)
 """Bounds of the tolerance [m]."""
 _NEIGHBOURS, _DEVIATIONS = 20, 2.5
 """A point is an outlier if its mean distance to this many neighbours exceeds the mean by so many deviations."""
+_SPACING_MAX = 0.5  # [m]; points that are farther apart belong to no surface
 _GROUND_CELL = 1.0  # [m]; the lowest points of such squares are candidates for the ground
 _GROUND_SLOPE = 0.7  # vertical part of the normal of the steepest slope
 _GROUND_SHARE, _GROUND_PLANES = 0.05, 8  # smallest share of the squares on a plane, largest number of planes
@@ -120,13 +121,15 @@ def fit_world(
         )
     kept = np.zeros(len(dense), dtype=bool)
     kept[point_cloud(dense).remove_statistical_outlier(_NEIGHBOURS, _DEVIATIONS)[1]] = True
-    spacing = 1.5 * float(np.median(point_cloud(dense[kept]).compute_nearest_neighbor_distance()))
+    spacing = min(1.5 * float(np.median(point_cloud(dense[kept]).compute_nearest_neighbor_distance())), _SPACING_MAX)
     ground = _Ground(dense[kept], tolerance)
     height = ground.height(dense)
     kept &= height > -1.5 * tolerance  # reflections
     standing = np.flatnonzero(kept & (height > 1.5 * tolerance))
     parts = clusters(dense[standing], spacing)
     kept[np.delete(standing, np.concatenate([[], *parts]).astype(int))] = False
+    if not kept.any():
+        raise UserError(f"{path} holds scattered points only, which lie on no surface; give a denser cloud.")
     solids = Solids()
     missed = [_fit(solids, dense[standing[part]], tolerance, spacing, ground.height) for part in parts]
     far = np.vstack([np.zeros((0, 3)), *missed])
@@ -138,8 +141,10 @@ def fit_world(
     solids.boxes += list(voxels)
     used = points[kept[place]]
     world = complete_world(path, used, solids.tables(), shift=shift, start=start, goal=goal)
-    measured = np.abs(bare.distance(used[:: max(1, len(used) // _POINTS_MEASURED)]))
-    measured = np.where(measured > tolerance, 0.5 * tolerance, measured)  # in a voxel
+    sample = used[:: max(1, len(used) // _POINTS_MEASURED)]
+    measured = np.abs(bare.distance(sample))
+    beyond = measured > tolerance  # only these can be nearer to one of the many voxels
+    measured[beyond] = np.abs(world.distance(sample[beyond]))
     return FittedWorld(
         world, used, tolerance, planes=len(ground.planes), trunks=len(solids.cylinders), walls=walls, mesh=mesh,
         voxels=len(voxels), outliers=len(points) - len(used), median=float(np.median(measured)),
