@@ -138,7 +138,7 @@ def _largest_cylinder(
     """Return the axis [3] of the cylinder of the most points among random ones, and these points by index."""
     count = min(_HYPOTHESES, len(points))
     one = random.choice(len(points), count, replace=False)
-    near = KDTree(points).query(points[one], k=min(100, len(points)))[1]
+    near = np.asarray(KDTree(points).query(points[one], k=min(100, len(points)))[1])
     two = near[np.arange(count), random.integers(near.shape[1], size=count)]
     axes = np.cross(normals[one], normals[two])
     sine = np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +33,7 @@ TOLERANCE_RANGE = (0.01, 1.0)
 """Bounds of the tolerance [m]."""
 _NEIGHBOURS, _DEVIATIONS = 20, 2.5
 """A point is an outlier if its mean distance to this many neighbours exceeds the mean by so many deviations."""
+_SPACING_MAX = 0.5  # [m]; points that are farther apart belong to no surface
 _GROUND_CELL = 1.0  # [m]; the lowest points of such squares are candidates for the ground
 _GROUND_SLOPE = 0.7  # vertical part of the normal of the steepest slope
 _GROUND_SHARE, _GROUND_PLANES = 0.05, 8  # smallest share of the squares on a plane, largest number of planes
@@ -119,13 +121,15 @@ def fit_world(
         )
     kept = np.zeros(len(dense), dtype=bool)
     kept[point_cloud(dense).remove_statistical_outlier(_NEIGHBOURS, _DEVIATIONS)[1]] = True
-    spacing = 1.5 * float(np.median(point_cloud(dense[kept]).compute_nearest_neighbor_distance()))
+    spacing = min(1.5 * float(np.median(point_cloud(dense[kept]).compute_nearest_neighbor_distance())), _SPACING_MAX)
     ground = _Ground(dense[kept], tolerance)
     height = ground.height(dense)
     kept &= height > -1.5 * tolerance  # reflections
     standing = np.flatnonzero(kept & (height > 1.5 * tolerance))
     parts = clusters(dense[standing], spacing)
     kept[np.delete(standing, np.concatenate([[], *parts]).astype(int))] = False
+    if not kept.any():
+        raise UserError(f"{path} holds scattered points only, which lie on no surface; give a denser cloud.")
     solids = Solids()
     missed = [_fit(solids, dense[standing[part]], tolerance, spacing, ground.height) for part in parts]
     far = np.vstack([np.zeros((0, 3)), *missed])
@@ -137,8 +141,10 @@ def fit_world(
     solids.boxes += list(voxels)
     used = points[kept[place]]
     world = complete_world(path, used, solids.tables(), shift=shift, start=start, goal=goal)
-    measured = np.abs(bare.distance(used[:: max(1, len(used) // _POINTS_MEASURED)]))
-    measured = np.where(measured > tolerance, 0.5 * tolerance, measured)  # in a voxel
+    sample = used[:: max(1, len(used) // _POINTS_MEASURED)]
+    measured = np.abs(bare.distance(sample))
+    beyond = measured > tolerance  # only these can be nearer to one of the many voxels
+    measured[beyond] = np.abs(world.distance(sample[beyond]))
     return FittedWorld(
         world, used, tolerance, planes=len(ground.planes), trunks=len(solids.cylinders), walls=walls, mesh=mesh,
         voxels=len(voxels), outliers=len(points) - len(used), median=float(np.median(measured)),
@@ -211,13 +217,14 @@ class _Ground:
             (a, b, c, d), _ = point_cloud(lows).segment_plane(self._tolerance, 3, 1000)
             if abs(c) < _GROUND_SLOPE:
                 return
-            plane = -np.array([a, b, d]) / c
+            plane: Array = -np.array([a, b, d]) / c
             around = points[np.isin(self._numbers(points), self._numbers(lows))]
             for _ in range(3):
                 near = around[np.abs(around[:, 2] - _heights(around, plane)) <= self._tolerance]
                 if len(near) < least:
                     return
-                plane = np.linalg.lstsq(np.column_stack([near[:, :2], np.ones(len(near))]), near[:, 2], rcond=None)[0]
+                columns = np.column_stack([near[:, :2], np.ones(len(near))])
+                plane = np.linalg.lstsq(columns, near[:, 2], rcond=None)[0].astype(np.float64)
             carried = np.abs(lows[:, 2] - _heights(lows, plane)) <= 1.5 * self._tolerance
             if carried.sum() < least:
                 return
@@ -230,7 +237,7 @@ class _Ground:
         labels = np.where(errors.min(axis=0) <= 1.5 * self._tolerance, errors.argmin(axis=0), -1)
         cells = tuple(self._cells(lows).T)
         self._labels[cells] = labels
-        nearest = ndimage.distance_transform_edt(self._labels < 0, return_distances=False, return_indices=True)
+        nearest: Any = ndimage.distance_transform_edt(self._labels < 0, return_distances=False, return_indices=True)
         filled = self._labels[tuple(nearest)]
         above = np.ones(filled.shape, dtype=bool)
         above[cells] = lows[:, 2] > [_heights(p, self.planes[k]) for p, k in zip(lows, filled[cells], strict=True)]

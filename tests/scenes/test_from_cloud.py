@@ -130,6 +130,16 @@ def test_the_result_is_the_same_every_time_and_everywhere(
     assert (moved.planes, moved.trunks, moved.walls) == (fitted.planes, fitted.trunks, fitted.walls)
 
 
+def test_ground_alone_solids_alone_and_scattered_points():
+    random = np.random.default_rng(3)
+    bare = fit_world(ground(10_000, random, slope=0.0), "field.pcd")
+    assert (bare.planes, bare.trunks, bare.walls, len(bare.world.boxes)) == (1, 0, 0, 1)
+    aloft = fit_world(on_trunk(TRUNKS[0], 2000, random), "trunk.pcd", start=[0, 0, 2], goal=[9, 0, 2])
+    assert (aloft.planes, aloft.trunks) == (0, 1)
+    with pytest.raises(UserError, match="scattered points only"):
+        fit_world(random.uniform(-500.0, 500.0, (300, 3)), "dust.pcd", start=[0, 0, 2], goal=[9, 0, 2])
+
+
 def test_the_command_says_what_it_found_in_a_bag_and_draws_it(tmp_path: Path, capsys, surfaces: np.ndarray):
     bag = bags.write_mcap(tmp_path / "park.mcap", [bags.cloud(0, bags.xyz(surfaces), frame="map", topic="/map")])
     output, picture = tmp_path / "park.json", tmp_path / "park.png"
