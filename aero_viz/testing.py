@@ -20,7 +20,7 @@ import pytest
 if TYPE_CHECKING:
     from aero_planner.config import DroneConfig
     from aero_viz.evaluation.batching import FlightOptions
-    from aero_viz.evaluation.statistics import PairedComparison
+    from aero_viz.statistics import PairedComparison
 
 _UPDATE = "--aero-viz-update"
 _FEWEST = 6
@@ -109,7 +109,7 @@ class FlightCheck:
             UserError, ValueError: the world, the configuration or an option is wrong.
         """
         from aero_planner.output_files import whole_file
-        from aero_viz.evaluation.statistics import PairedComparison
+        from aero_viz.statistics import PairedComparison
 
         options = self._flight_options()
         conditions = self._conditions(options)

@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.statistics import wilson_interval
 from aero_viz.flight import FlightBatch, FlightRules, StateNoise, VehicleModel
 from aero_viz.scenes.world import World
 from aero_viz.sensors.models import lidar_model
+from aero_viz.statistics import wilson_interval
 from benchmarks.common import make_world, split_change, value_of
 
 ROWS = ("forest:100", "inclines:400", "verticals:300", "inclines:800", "verticals:600", "verticals:1000")

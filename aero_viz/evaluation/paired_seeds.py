@@ -3,45 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 from aero_planner.config import DroneConfig
-from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.session import Session
 from aero_viz.session.source import Source
-
-
-@dataclass(frozen=True)
-class SeedFlight:
-    """How the flight of one seed ended."""
-
-    outcome: str
-    flight_time_s: float
-
-    @property
-    def arrived(self) -> bool:
-        """True if it arrived."""
-        return self.outcome == "arrived"
-
-
-@dataclass(frozen=True)
-class PairedSeeds:
-    """The flights of A and of B so far, in the order of the seeds."""
-
-    seeds: Sequence[int]
-    a: Sequence[SeedFlight]
-    b: Sequence[SeedFlight]
-
-    @property
-    def intervals(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """95 % Wilson intervals of the rates of success of A and B."""
-        low, high = (wilson_interval(sum(one.arrived for one in flown), len(flown)) for flown in (self.a, self.b))
-        return low, high
-
-    @property
-    def comparison(self) -> PairedComparison:
-        """The paired comparison."""
-        return PairedComparison.from_flights(self.a, self.b)
+from aero_viz.statistics import PairedSeeds, SeedFlight
 
 
 def fly_seeds(

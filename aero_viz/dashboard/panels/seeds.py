@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import viser
 
@@ -18,9 +18,7 @@ from aero_viz.flight.known_drone import config_for_next_flight
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import Source
-
-if TYPE_CHECKING:  # the page knows only the form of the flights
-    from aero_viz.evaluation.paired_seeds import PairedSeeds, SeedFlight
+from aero_viz.statistics import PairedSeeds, SeedFlight
 
 COUNT = 10
 """Number of seeds."""

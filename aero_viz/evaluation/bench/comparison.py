@@ -8,8 +8,8 @@ from typing import Any
 
 from aero_viz.errors import UserError
 from aero_viz.evaluation.bench.result_folder import read_folder
-from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.nested_values import leaves_by_path
+from aero_viz.statistics import PairedComparison, wilson_interval
 from aero_viz.text_table import format_table
 
 _SAME = ("benchmark", "seed", "lidar", "simulation")

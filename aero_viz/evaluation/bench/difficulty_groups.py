@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from aero_viz.evaluation.bench.runner import Run
-from aero_viz.evaluation.statistics import wilson_interval
+from aero_viz.statistics import wilson_interval
 
 DIFFICULTY = ("traversability_obstruction", "view_occlusion", "angle_over_length", "guide_length", "difficulty")
 """Fields of a record about the difficulty of its world."""

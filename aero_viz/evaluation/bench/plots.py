@@ -8,8 +8,8 @@ from typing import Any
 
 from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.suites import Benchmark
-from aero_viz.evaluation.statistics import Summary
 from aero_viz.extras import from_extra
+from aero_viz.statistics import Summary
 
 _SIZE, _DPI = (8.0, 4.5), 150
 

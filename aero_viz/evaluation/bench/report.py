@@ -18,7 +18,7 @@ from aero_viz.evaluation.bench.published_results import PUBLISHED
 from aero_viz.evaluation.bench.runner import STAGE_FIELD, Run
 from aero_viz.evaluation.bench.success_matrix import IMPOSSIBLE_NOTE, format_matrix
 from aero_viz.evaluation.bench.suites import Benchmark
-from aero_viz.evaluation.statistics import METRICS, Summary, summarise
+from aero_viz.statistics import METRICS, Summary, summarise
 from aero_viz.text_table import format_table
 
 OURS = "AERO-Viz"

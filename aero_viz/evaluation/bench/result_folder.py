@@ -12,8 +12,8 @@ from aero_planner.output_files import open_alone, whole_file
 from aero_planner.plain_text import has_own_words
 from aero_planner.user_file import parse_json, read_user_text
 from aero_viz.errors import UserError
-from aero_viz.evaluation.statistics import METRICS
 from aero_viz.input_limits import TEXT_MAX
+from aero_viz.statistics import METRICS
 
 _HEADER, _FLIGHTS, _LOCK = "run.json", "flights.jsonl", ".lock"
 REPORT_FILES = (_HEADER, "summary.json", "success.png", "speed.png", "throughput.png")

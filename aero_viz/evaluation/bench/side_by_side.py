@@ -9,7 +9,7 @@ from typing import Any
 
 from aero_viz.evaluation.bench.comparison import RunComparison, check_same, compare_runs, read_run
 from aero_viz.evaluation.bench.result_folder import read_folder
-from aero_viz.evaluation.statistics import Summary, summarise
+from aero_viz.statistics import Summary, summarise
 from aero_viz.text_table import format_table
 
 _HEADER = (

@@ -10,12 +10,12 @@ import numpy as np
 
 from aero_planner.parameters import did_you_mean
 from aero_viz.errors import UserError
-from aero_viz.evaluation.statistics import mean_interval, wilson_interval
 from aero_viz.evaluation.tune.objectives import UNITS, Objective, front_values, measure
 from aero_viz.evaluation.tune.storage import check_file, first_line, read_only_storage, sqlite_file
 from aero_viz.evaluation.tune.study import DEFINITION, INCUMBENT, TRIALS, flight_count, require_optuna
 from aero_viz.evaluation.tune.study_results import Problem, StudyResults, finished_trials, pareto_front
 from aero_viz.evaluation.tune.tuning_result import Candidate
+from aero_viz.statistics import mean_interval, wilson_interval
 from aero_viz.study_view import Estimate, Importance, StudyPoint, StudyView
 
 if TYPE_CHECKING:

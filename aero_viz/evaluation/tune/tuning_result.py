@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 from aero_planner.config import DroneConfig
-from aero_viz.evaluation.statistics import PairedComparison, wilson_interval
 from aero_viz.evaluation.tune.objectives import NAMES, OBJECTIVES, UNITS, Objective, measure
 from aero_viz.evaluation.tune.search_space import ParameterRange
 from aero_viz.flight import FlightResult
+from aero_viz.statistics import PairedComparison, wilson_interval
 from aero_viz.text_table import format_table
 
 

@@ -6,9 +6,9 @@ import json
 import pytest
 
 from aero_planner import PlannerConfig
-from aero_viz.evaluation.statistics import wilson_interval
 from aero_viz.evaluation.tune import Candidate, Check, ParameterRange, Score, TuningResult
 from aero_viz.flight import FlightResult
+from aero_viz.statistics import wilson_interval
 
 
 def flight(time: float | None) -> FlightResult:

@@ -219,3 +219,36 @@ def summarise(flights: Sequence[Mapping[str, Any]], *, row: str, planner: str) -
 def _batch_share(batch: Mapping[str, Any], flights: Sequence[Mapping[str, Any]]) -> float:
     """Return the share of a batch, which may have flights of other rows, that these flights make up."""
     return sum(flight.get("batch") == batch["batch"] for flight in flights) / batch["batch_size"]
+
+
+@dataclass(frozen=True)
+class SeedFlight:
+    """How the flight of one seed ended."""
+
+    outcome: str
+    flight_time_s: float
+
+    @property
+    def arrived(self) -> bool:
+        """True if it arrived."""
+        return self.outcome == "arrived"
+
+
+@dataclass(frozen=True)
+class PairedSeeds:
+    """The flights of A and of B so far, in the order of the seeds."""
+
+    seeds: Sequence[int]
+    a: Sequence[SeedFlight]
+    b: Sequence[SeedFlight]
+
+    @property
+    def intervals(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """95 % Wilson intervals of the rates of success of A and B."""
+        low, high = (wilson_interval(sum(one.arrived for one in flown), len(flown)) for flown in (self.a, self.b))
+        return low, high
+
+    @property
+    def comparison(self) -> PairedComparison:
+        """The paired comparison."""
+        return PairedComparison.from_flights(self.a, self.b)

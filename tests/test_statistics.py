@@ -1,6 +1,6 @@
 import pytest
 
-from aero_viz.evaluation.statistics import METRICS, mean_interval, sign_test, summarise, wilson_interval
+from aero_viz.statistics import METRICS, mean_interval, sign_test, summarise, wilson_interval
 
 
 @pytest.mark.parametrize(
