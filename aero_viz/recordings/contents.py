@@ -13,7 +13,7 @@ from aero_viz.errors import UserError
 from aero_viz.input_limits import TOPICS_MAX
 from aero_viz.recordings.bag_file import HEAD_BYTES, BagFile, Message
 from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
-from aero_viz.recordings.depth_image import CAMERA_INFO, IMAGE, Intrinsics, NoDepthImage, read_camera_info
+from aero_viz.recordings.depth_image import CAMERA_INFO, IMAGE, Intrinsics, read_camera_info
 from aero_viz.recordings.foxglove_cloud import FOXGLOVE_CLOUD
 from aero_viz.recordings.pose_messages import POSE_TYPES, TRANSFORM_STAMPED, decode_poses
 from aero_viz.recordings.ros_messages import ENCODINGS, TF_TYPES, DamagedMessage
@@ -211,11 +211,11 @@ class _Scanner:
                 return
             data = message.head if len(message.head) == message.size else file.read(message.position)
             poses = decode_poses(data, channel.type, channel.encoding)
-        except NoDepthImage as error:
-            topic.reason = str(error)
-            return
         except DamagedMessage as error:
-            topic.add_damaged(str(error))
+            if channel.type == IMAGE and not topic.clouds:  # most images hold no depth, and nobody expects it
+                topic.reason = str(error)
+            else:
+                topic.add_damaged(str(error))
             return
         except ValueError:
             topic.add_damaged("its bytes are damaged")

@@ -21,10 +21,6 @@ _MOST_POINTS = 30_000
 """Number of points to which an image is reduced."""
 
 
-class NoDepthImage(DamagedMessage):
-    """An image that holds no depth."""
-
-
 class Intrinsics(NamedTuple):
     """Focal lengths and principal point of a camera [pixels]."""
 
@@ -55,12 +51,11 @@ def read_depth_image(message: bytes | memoryview, encoding: str, camera: Intrins
     number.
 
     Raises:
-        NoDepthImage: the pixels are not depths.
-        DamagedMessage: the message is damaged.
+        DamagedMessage: the message is damaged, or its pixels are not depths.
     """
     image: Any = decode_message(message, IMAGE, encoding)
     if image.encoding not in _ENCODINGS:
-        raise NoDepthImage(f"its encoding is {image.encoding[:NAME_MAX]!r}, not one of {', '.join(_ENCODINGS)}")
+        raise DamagedMessage(f"its encoding is {image.encoding[:NAME_MAX]!r}, not one of {', '.join(_ENCODINGS)}")
     code, unit = _ENCODINGS[image.encoding]
     dtype = np.dtype((">" if image.is_bigendian else "<") + code)
     height, width = int(image.height), int(image.width)
