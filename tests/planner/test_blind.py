@@ -60,7 +60,7 @@ def test_returns_of_the_drone_itself_show_nothing(planner: Planner, distance: fl
     own = distance * np.eye(3, dtype=np.float32)[np.arange(3000) % 3]
 
     def seen(tick: int) -> np.ndarray:
-        return own + np.float32([0.1 * tick, 0, 1])
+        return own + np.array([0.1 * tick, 0, 1], np.float32)
 
     assert statuses(planner, seen) == STALE
     assert statuses(planner, lambda tick: Sweeps([ROOM + 4.0, seen(tick)])) == STALE

@@ -38,6 +38,6 @@ def pack(config: PlannerConfig) -> Any:
     for info in _LIVE:
         value = config.get(info.path)
         if info.pack is not None:
-            value = info.pack(value)
+            value = info.pack(str(value))
         record[info.name] = info.choices.index(str(value)) if info.choices else value
     return record
