@@ -53,17 +53,24 @@ def read_oxts(folder: Path) -> OxtsTable:
 
 
 def oxts_mount(folder: Path) -> tuple[Path, Transform] | None:
-    """Return KITTI's calibration near a folder oxts, and the pose of the LiDAR in the frame of the IMU."""
+    """Return KITTI's calibration near a folder oxts, and the pose of the LiDAR in the frame of the IMU, if there is one.
+
+    Raises:
+        UserError: the calibration is damaged.
+    """
     for path in (place / "calib_imu_to_velo.txt" for place in folder.resolve().parents[:2]):
         try:
             lines = read_user_text(path, limit=_LINE_MAX).splitlines()
             entries = {name: numbers.split() for name, _, numbers in (line.partition(":") for line in lines)}
             rotation = np.array(entries["R"], np.float64).reshape(3, 3)
             position = -rotation.T @ np.array(entries["T"], np.float64).reshape(3)
-        except (OSError, ValueError, KeyError):
+        except FileNotFoundError:
             continue
-        if abs(np.linalg.det(rotation) - 1.0) < 0.1 and np.isfinite(position).all():
-            return path, Transform(position, quaternion_of_matrix(rotation.T))
+        except (OSError, ValueError, KeyError):
+            rotation, position = np.zeros((3, 3)), np.zeros(3)
+        if not (abs(np.linalg.det(rotation) - 1.0) < 0.1 and np.isfinite(position).all()):
+            raise UserError(f"{path} holds no rotation R and translation T: copy it again, or remove it.")
+        return path, Transform(position, quaternion_of_matrix(rotation.T))
     return None
 
 

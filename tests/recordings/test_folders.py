@@ -60,6 +60,16 @@ def test_raw_data_of_kitti_play_with_the_poses_of_the_imu_also_where_clouds_are_
             # The wall is 5 m along the LiDAR's x, which is the IMU's y, and the LiDAR is 0.8 m in front of the IMU.
             np.testing.assert_allclose(recording.sweep(0).points[:, 1], WALL[:, 0], atol=1e-4)
             np.testing.assert_allclose(recording.sweep(0).points[:, 0], 0.8 - WALL[:, 1], atol=1e-4)
+    for damaged in (
+        "R: 0 1 0",
+        "R: 0 1 0 -1 0 0 0 0 1",
+        "R: 1 1 1 1 1 1 1 1 1\nT: 0 0 0",
+        "R: 0 1 0 -1 0 0 0 0 1\nT: 0 nan 0",
+    ):
+        (drive.parent / "calib_imu_to_velo.txt").write_text(damaged)
+        with pytest.raises(UserError, match=r"calib_imu_to_velo\.txt holds no rotation R and translation T"):
+            open_recording(drive)
+    (drive.parent / "calib_imu_to_velo.txt").unlink()
     (drive / "oxts" / "data" / "0000000002.txt").write_text("49.0 8.4 x")
     with pytest.raises(UserError, match=r"0000000002\.txt is not a row of KITTI's oxts"):
         open_recording(drive)

@@ -33,7 +33,7 @@ _FIXED = "its default is part of the planner now"
 REMOVED: dict[str, str] = {
     **dict.fromkeys(
         ("partition.view_min", "partition.view_max", "unseen_space.view_min", "unseen_space.view_max"),
-        "unseen_space.view holds the field of view",
+        "give both edges as unseen_space.view, such as '-7 52'",
     ),
     **dict.fromkeys(
         (
