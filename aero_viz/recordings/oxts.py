@@ -53,7 +53,7 @@ def read_oxts(folder: Path) -> OxtsTable:
 
 
 def oxts_mount(folder: Path) -> tuple[Path, Transform] | None:
-    """Return KITTI's calibration near a folder oxts, and the pose of the LiDAR in the frame of the IMU, if there is one.
+    """Return KITTI's calibration near a folder oxts, and the pose of the LiDAR in the frame of the IMU, if it exists.
 
     Raises:
         UserError: the calibration is damaged.
