@@ -202,13 +202,16 @@ def _read(path: Path, conditions: dict[str, Any]) -> Sequence[StoredFlight]:
     Raises:
         pytest.fail.Exception: there is none for these conditions, or it is damaged.
     """
+    from aero_planner.user_file import read_user_text
+    from aero_viz.input_limits import TEXT_MAX
+
     if not path.exists():
         pytest.fail(f"There is no baseline {path}; store one with pytest {_UPDATE}.", pytrace=False)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(read_user_text(path, limit=TEXT_MAX))
         differing = [name for name, value in content["conditions"].items() if not _agree(value, conditions.get(name))]
         flights = [StoredFlight(**flight) for flight in content["flights"]]
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         pytest.fail(f"The baseline {path} is damaged ({error}); store it again with pytest {_UPDATE}.", pytrace=False)
     if differing:
         pytest.fail(

@@ -132,7 +132,8 @@ class CloudFiles(CloudSequence):
         self._process = DecodingProcess()
         try:
             file, points = self._first_cloud()
-            centre = np.median(points, axis=0) if len(points) else np.zeros(3)
+            known = points[np.isfinite(points).all(axis=1)]
+            centre = np.median(known, axis=0) if len(known) else np.zeros(3)
             check_place(centre, file)
             if self._suffix in TEXT_SUFFIXES:
                 self.notices.append(str(find_text_layout(file)))

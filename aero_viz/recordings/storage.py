@@ -147,7 +147,7 @@ class Storage:
             if problem:
                 bag.problems.append(problem)
             return format_name, bag
-        if start.startswith(b"#ROSBAG"):
+        if start.startswith(b"#ROSBAG") and not start.startswith(ROS1_MAGIC):
             version = start.split(b"\n")[0].decode(errors="replace")
             raise UserError(f"{name} is a bag of an old format ({version}): convert it with `rosbag fix`.")
         for format_name in sorted(FORMATS, key=_GUESSED.__eq__):

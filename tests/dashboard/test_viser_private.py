@@ -94,7 +94,10 @@ def test_messages_and_methods_have_the_expected_signature(part: Any):
     assert str(inspect.signature(part)) == SIGNATURES[part], ADVICE
 
 
-@pytest.mark.parametrize("message", get_args(page_messages.MESSAGES), ids=lambda message: message.__name__)
+OF_VISER = [message for message in get_args(page_messages.MESSAGES) if message is not page_messages.NumberMessage]
+
+
+@pytest.mark.parametrize("message", OF_VISER, ids=lambda message: message.__name__)
 def test_the_messages_of_a_page_have_the_fields_of_viser(message: type[msgspec.Struct]):
     tag = message.__struct_config__.tag
     expected = set(inspect.signature(getattr(_messages, str(tag))).parameters)

@@ -267,7 +267,7 @@ def test_empty_world_has_no_clearance():
     [
         ({"speed": -1.0}, "speed_limit"),
         ({"device": "cuda:99"}, "cuda:99"),
-        ({"rules": FlightRules(period=0.07)}, "tick"),
+        ({"rules": FlightRules(period=0.2)}, "less than the tick"),
     ],
 )
 def test_invalid_options_are_refused_in_one_sentence(sparse, options, expected):

@@ -9,8 +9,8 @@ KINDS = [(VehicleModel, {}, "drone"), (StateNoise, {}, "noise"), (FlightRules, {
          (LidarModel, {"name": "odd"}, "lidar")]  # fmt: skip
 KEEP = {"drag": {"gust_speed": 0.0}, "gust_speed": {"drag": 0.1}, "rings": {"pattern": "rings"}}
 """Other parameters that must be set with a parameter, so that the two do not contradict each other."""
-FOLLOWING = {"name", "mount_position", "mount_angles", "model", "own"}
-"""Fields that no user sets by a number: names, poses, and what follows from the planner's vehicle model."""
+FOLLOWING = {"name", "mount_position", "mount_angles", "others", "model", "own"}
+"""Fields that no user sets by a number: names, poses, further sensors, and what the vehicle model says."""
 
 
 def fields() -> list[tuple[type, dict, str, str]]:

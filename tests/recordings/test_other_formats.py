@@ -183,7 +183,7 @@ def test_a_capture_of_a_velodyne(tmp_path: Path):
         ("text.bin", b"These are not points" * 100, "within the range of any LiDAR"),
         ("flight.zip", b"PK\3\4" + bytes(30), "unpack this archive"),
         ("flight.tar", bytes(257) + b"ustar" + bytes(250), "tar -xf"),
-        ("scan.e57", b"ASTM-E57" + bytes(40), "its data are damaged"),
+        ("scan.e57", b"ASTM-E57" + bytes(40), "its part of XML begins with no element"),
         ("garbage.npy", b"\x93NUMPY\x07\x09" + bytes(range(255, 100, -1)), "header is damaged"),
         ("head.pcap", b"\xd4\xc3\xb2\xa1", "truncated in its header"),
         ("empty.pcap", b"\xd4\xc3\xb2\xa1" + bytes(16) + b"\1\0\0\0", "no packets of a Livox"),

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from aero_planner.config.field_of_view import VIEW_FORM, VIEW_PATTERN, VIEWS, View, parse_views
 from aero_planner.parameters import ParameterSection, live, table
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
 
 def pack_views(text: str) -> NDArray[np.float32]:
     """Return the views of a text, a row for each, with zeros where there is none, [VIEWS, 4]."""
+    import numpy as np  # the command line needs the names of the parameters only
+
     rows = np.zeros((VIEWS, 4), np.float32)
     views = parse_views(text)
     rows[: len(views)] = views
