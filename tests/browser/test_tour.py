@@ -6,6 +6,8 @@ from typing import Any
 
 import imageio.v3 as iio
 import numpy as np
+from playwright.sync_api import Page
+from small_source import wait_for
 
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
@@ -27,6 +29,14 @@ def open_stop(spec: str, **options: Any):
     return open_source(spec, **options)
 
 
+def picture(page: Page) -> np.ndarray:
+    return iio.imread(io.BytesIO(page.screenshot())).astype(int)
+
+
+def changed_pixels(first: np.ndarray, second: np.ndarray) -> int:
+    return int((np.abs(first - second).max(axis=-1) > 30).sum())
+
+
 def test_the_tour_loops_skips_what_fails_and_survives_a_closed_browser(browser):
     session = Session(open_source("pillars", seed=0))
     dashboard = Dashboard(session, port=0, panels=False)
@@ -41,11 +51,11 @@ def test_the_tour_loops_skips_what_fails_and_survives_a_closed_browser(browser):
             page = visit(browser, dashboard.url, size=(480, 300), resolution=0.5)
             page.locator("#aero-caption-text", has_text=".").wait_for()
             seen = tour.shown
-            first = iio.imread(io.BytesIO(page.screenshot()))
+            first = picture(page)
             while tour.shown < seen + 1:
                 page.wait_for_timeout(100)
-            second = iio.imread(io.BytesIO(page.screenshot()))
-            assert first.std() > 4.0 and (np.abs(first.astype(int) - second).max(axis=-1) > 30).sum() > 200
+            assert first.std() > 4.0
+            wait_for(lambda page=page, first=first: changed_pixels(first, picture(page)) > 200)
             assert not page.locator(".mantine-Paper-root").first.is_visible()
             page.close()
         while tour.shown < 4:
