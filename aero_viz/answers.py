@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import IO, Any
 
-import msgspec
 import numpy as np
 
 _PACKAGES = ("aero_planner", "aero_viz")
@@ -64,6 +63,8 @@ def encode(value: Any, files: Sequence[Any] = ()) -> bytes:
         items = value if isinstance(value, tuple) else [getattr(value, field.name) for field in _fields(kind)]
         return ["record", name, *map(pack, items)]
 
+    import msgspec  # only readers of files need it
+
     return msgspec.msgpack.encode(pack(value))
 
 
@@ -89,6 +90,8 @@ def decode(text: bytes | bytearray, files: Sequence[Any] = ()) -> Any:
         if kind == "record":
             return _record(_record_type(items[0]), list(map(unpack, items[1:])))
         return _BY_NAME[kind](items, unpack)
+
+    import msgspec
 
     try:
         return unpack(msgspec.msgpack.decode(text))
