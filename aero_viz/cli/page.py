@@ -299,7 +299,6 @@ def serve(
 
             from aero_viz.dashboard import Dashboard
             from aero_viz.dashboard.share import FlightFiles
-            from aero_viz.evaluation.paired_seeds import fly_seeds
             from aero_viz.session.source import Conditions
 
             dashboard = Dashboard(
@@ -314,7 +313,6 @@ def serve(
                 folders=folders,
                 files=FlightFiles(),
                 study=shown_study,
-                fly_seeds=fly_seeds,
             )
             stack.callback(dashboard.close)
             if not page_flags.paused:

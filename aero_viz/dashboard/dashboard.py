@@ -29,7 +29,6 @@ from aero_viz.dashboard.layers import (
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import Offer, build
-from aero_viz.dashboard.panels.seeds import FlySeeds
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
@@ -63,7 +62,6 @@ class Dashboard:
         history: keeps what the curves show; None keeps every tick of the session.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
-        fly_seeds: flies two configurations through other seeds, such as `evaluation.paired_seeds.fly_seeds`.
         server: web server to use; None starts one with `host`, `port` and `allowed_hosts`, which are ignored otherwise.
         drawn: layers that the server shows already, see `show_first_picture`.
 
@@ -90,7 +88,6 @@ class Dashboard:
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: Study | None = None,
-        fly_seeds: FlySeeds | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:
@@ -125,7 +122,7 @@ class Dashboard:
             self.layers = {layer.name: layer for layer in made if layer is not None}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
-                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study, fly_seeds)
+                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study)
                 self._camera, self.panels = build(self._page, offer)
             else:
                 self._camera = CameraPanel(self._page)

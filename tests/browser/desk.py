@@ -20,7 +20,6 @@ from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, orientation
 from aero_viz.dashboard.share import FlightFiles
-from aero_viz.evaluation.paired_seeds import fly_seeds
 from aero_viz.evaluation.tune import StoredStudy
 from aero_viz.flight import FlightSource
 from aero_viz.flight.known_drone import config_for_flight
@@ -332,7 +331,6 @@ def open_desk(
         conditions=Conditions(),
         files=FlightFiles(),
         study=study,
-        fly_seeds=fly_seeds,
     )
     dashboard.show_only(layers)
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)

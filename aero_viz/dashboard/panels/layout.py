@@ -26,7 +26,7 @@ from aero_viz.dashboard.panels.parameters import ParameterPanel, ParameterTableP
 from aero_viz.dashboard.panels.playback import PlaybackPanel
 from aero_viz.dashboard.panels.post_mortem import PostMortemPanel
 from aero_viz.dashboard.panels.returning import ReturningVisitors
-from aero_viz.dashboard.panels.seeds import FlySeeds, SeedsPanel
+from aero_viz.dashboard.panels.seeds import SeedsPanel
 from aero_viz.dashboard.panels.sensitivity import SensitivityPanel
 from aero_viz.dashboard.panels.share import Files, SharePanel
 from aero_viz.dashboard.panels.shortcuts import Action, ShortcutPanel
@@ -55,7 +55,6 @@ class Offer:
     conditions: Conditions | None = None
     files: Files | None = None
     study: Study | None = None
-    fly_seeds: FlySeeds | None = None
 
 
 @dataclass(frozen=True)
@@ -134,11 +133,10 @@ def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
 
 
 def _tune(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
-    page, controls, fly_seeds = desk.page, desk.controls, desk.offer.fly_seeds
+    page, controls = desk.page, desk.controls
     baseline = Baseline.from_config(page.session.config)
     panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls)]
-    if fly_seeds is not None:
-        panels += [SeedsPanel(page, controls, sources, fly_seeds) for sources in desk.sources]
+    panels += [SeedsPanel(page, controls, sources) for sources in desk.sources]
     return [*panels, ConfigurationPanel(page, controls, baseline), ParameterPanel(page, controls, baseline, tab)]
 
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from typing import Protocol
+from collections.abc import Callable
 
 import viser
 
@@ -17,6 +16,7 @@ from aero_viz.dashboard.panels.source import SourcePanel
 from aero_viz.flight.known_drone import config_for_next_flight
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
+from aero_viz.session.paired_seeds import fly_seeds
 from aero_viz.session.source import Source
 from aero_viz.statistics import PairedSeeds, SeedFlight
 
@@ -29,23 +29,6 @@ _HINT = (
 _VERDICTS = {"noise": "That may be chance.", "A": "A is better.", "B": "B is better."}
 
 
-class FlySeeds(Protocol):
-    """Flies two configurations through the worlds of seeds, see `aero_viz.evaluation.paired_seeds.fly_seeds`."""
-
-    def __call__(
-        self,
-        open_seed: Callable[[int], Source],
-        seeds: Sequence[int],
-        a: Callable[[Source], DroneConfig],
-        b: Callable[[Source], DroneConfig],
-        *,
-        device: str,
-        goes_on: Callable[[], bool],
-    ) -> Iterator[PairedSeeds]:
-        """Yield the flights so far after each pair."""
-        ...
-
-
 class SeedsPanel(Panel):
     """Flies the pinned configuration and the present one through the worlds of ten seeds, on its own thread.
 
@@ -53,11 +36,10 @@ class SeedsPanel(Panel):
         page: page of the panel.
         controls: commands of the session.
         sources: opens the present flight with another seed.
-        fly_seeds: flies.
     """
 
-    def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel, fly_seeds: FlySeeds) -> None:
-        self._controls, self._sources, self._fly_seeds = controls, sources, fly_seeds
+    def __init__(self, page: Page, controls: SessionControls, sources: SourcePanel) -> None:
+        self._controls, self._sources = controls, sources
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -101,7 +83,7 @@ class SeedsPanel(Panel):
             return lambda source: config_for_next_flight(config, before=frame.source, after=source.info)
 
         def fly() -> None:
-            flights = self._fly_seeds(
+            flights = fly_seeds(
                 self._sources.reopen, seeds, known(a), known(b), device=frame.device, goes_on=self._goes_on
             )
             self._show(markup.note(f"0 of {COUNT} seeds .."))

@@ -4,8 +4,8 @@ import dataclasses
 
 from small_source import small_config, small_source
 
-from aero_viz.evaluation.paired_seeds import fly_seeds
 from aero_viz.session import Session
+from aero_viz.session.paired_seeds import fly_seeds
 from aero_viz.statistics import SeedFlight
 
 FAST = small_config()
