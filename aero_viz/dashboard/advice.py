@@ -52,7 +52,7 @@ class Advice:
         """Return the change in words."""
         old, new = config.get(self.path), self.value
         if self.path == _STAGES:
-            return f"Switch on {', '.join(_names(new)[len(_names(old)) :])}".replace("_", " ")
+            return f"Switch on {str(new).rpartition(', ')[2]}".replace("_", " ")
         if isinstance(old, bool):
             return f"{config.find(self.path).title}: {'on' if new else 'off'}"
         return f"{config.find(self.path).title}: {old:g} → {new:g}"
@@ -71,13 +71,9 @@ def against(cause: str, config: DroneConfig) -> list[Advice]:
     return list(found.values())[:MOST]
 
 
-def _names(stages: Value) -> list[str]:
-    return [name for name in str(stages).split(", ") if name]
-
-
 def _with_stage(path: str, config: PlannerConfig) -> Advice | None:
     """Return the change that activates the stage of a parameter; None if it is active, or none has it."""
-    stage, active = path.partition(".")[0], _names(config.stages.active)
+    stage, active = path.partition(".")[0], config.stages.names
     is_missing = stage in (config.find(_STAGES).items or ()) and stage not in active
     return Advice(_STAGES, ", ".join([*active, stage])) if is_missing else None
 

@@ -5,6 +5,7 @@ from small_source import small_config, small_source
 
 from aero_viz.dashboard.server import LocalServer
 from aero_viz.session import Session
+from tests.dashboard.page_client import CAMERA, join, send, wait_for
 
 
 @pytest.fixture
@@ -13,6 +14,15 @@ def server() -> Iterator[LocalServer]:
     server = LocalServer(port=0)
     yield server
     server.stop()
+
+
+@pytest.fixture
+def client(server: LocalServer):
+    """A client of the server that has sent its camera."""
+    with join(server) as client:
+        send(client, **CAMERA)
+        wait_for(server.get_clients, "the client")
+        yield client
 
 
 @pytest.fixture

@@ -27,15 +27,6 @@ def server():
     server.stop()
 
 
-@pytest.fixture
-def client(server: LocalServer):
-    """A client of it that has sent its camera."""
-    with join(server) as client:
-        send(client, **CAMERA)
-        wait_for(server.get_clients, "the client")
-        yield client
-
-
 def set_value(client, control, **updates) -> None:
     send(client, type="GuiUpdateMessage", uuid=identifier(control), updates=updates)
 

@@ -6,18 +6,9 @@ import pytest
 
 from aero_viz.dashboard.layers import apply
 from aero_viz.dashboard.number_fields import NumberFields, typed_value
-from aero_viz.dashboard.server import LocalServer
 from aero_viz.dashboard.viser_private import identifier
 from aero_viz.errors import UserError
 from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
-
-
-@pytest.fixture
-def client(server: LocalServer):
-    with join(server) as client:
-        send(client, **CAMERA)
-        wait_for(server.get_clients, "the client")
-        yield client
 
 
 def type_into(client: Any, control: Any, text: str | None, *, index: int = 0, is_over: bool = True) -> None:
