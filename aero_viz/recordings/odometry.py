@@ -51,7 +51,7 @@ class Motion(NamedTuple):
     """Estimated motion of the body."""
 
     method: str
-    """"rko-lio" or "kiss-icp"."""
+    """"rko-lio", "kiss-icp" or "ICP in a map"."""
     times: NDArray[np.float64]
     """[n] [s] after the first playable sweep: the end of each registered sweep."""
     positions: NDArray[np.float64]
@@ -62,6 +62,8 @@ class Motion(NamedTuple):
     """Median time of a registration [ms]."""
     problems: tuple[str, ...]
     """Signs of failure and drift, and assumptions, one sentence each."""
+    fitness: float = float("nan")
+    """Median share of the points of a sweep that lie on the surfaces of a map; NaN without one."""
 
     def poses(self) -> RecordedPoses:
         """Return the motion as recorded poses."""
