@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.quaternions import quaternion_of_matrix, rotation_matrix, rotation_vector
-from aero_viz.recordings.alignment import place
 from aero_viz.recordings.finding import Finding
-from aero_viz.recordings.localization import near, pose_matrix
+from aero_viz.recordings.localization import in_body, near, pose_matrix
 from aero_viz.recordings.odometry import Motion, OdometryProgress
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.recording import Recording
@@ -25,6 +24,8 @@ _SWEEPS_BEFORE = 5
 """Each sweep is registered with that many before it."""
 _POINTS_MIN = 1000
 """A sweep of fewer points is too sparse a surface for the next one."""
+_FITNESS_MIN = 0.5
+"""A sweep sees much that those before have not seen, and starts near its true pose."""
 _CHECKED_MIN = 0.5
 """Share of the sweeps that must be registered, or else the drift is not known."""
 _STEP, _STEP_TURN = 0.3, 3.0
@@ -112,14 +113,14 @@ def check_by_sweeps(
     for index in range(count):
         sweep = near(recording.sweep(index))
         given = pose_matrix(poses, sweep.time)
-        points = (place(sweep, poses) - given[:3, 3]) @ given[:3, :3]
+        points = in_body(sweep, poses, sweep.time)
         pose = given if last is None else last[1] @ np.linalg.inv(last[0]) @ given
         if len(points) < _POINTS_MIN:
             unchecked.append(f"sweep {index} at {sweep.time:.1f} s has only {len(points)} points")
         elif before:
             fit = Surface(np.concatenate(before)).fit(points, pose)
-            if fit.problem:
-                unchecked.append(f"sweep {index} at {sweep.time:.1f} s: {fit.problem}")
+            if problem := fit.problem(least=_FITNESS_MIN):
+                unchecked.append(f"sweep {index} at {sweep.time:.1f} s: {problem}")
             else:
                 pose = fit.pose
                 fitness.append(fit.fitness)

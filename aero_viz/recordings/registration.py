@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,6 @@ _REACH = 1.0
 
 _POINTS_MIN = 30
 """Fewer points are no surface."""
-_FITNESS_MIN = 0.7
-"""Wrong poses reach 0.54 in forests, true ones 0.72 and more."""
 _HOLD_MIN = 0.005
 """Flat ground and tunnels hold with up to 0.0015, three trunks in a field with 0.002 to 0.004."""
 
@@ -36,15 +34,14 @@ class Fit(NamedTuple):
     pose: Array
     """Pose of the cloud in the frame of the surface [4, 4]."""
     fitness: float
-    """Share of the points of the cloud that lie on the surface."""
+    """Share of the points of the cloud that lie on the surface, weighted by how much they settle the pose."""
     hold: float
     """Least share of the points that keeps the cloud from moving in some direction, or from turning."""
 
-    @property
-    def problem(self) -> str:
-        """Reason why the pose cannot be trusted, a part of a sentence; empty if it can."""
-        if self.fitness < _FITNESS_MIN:
-            return f"only {100 * self.fitness:.0f} % of its points lie on a surface"
+    def problem(self, *, least: float) -> str:
+        """Return why the pose cannot be trusted with a fitness of at least `least`; empty if it can."""
+        if self.fitness < least:
+            return f"it fits only to {self.fitness:.0%}"
         if self.hold < _HOLD_MIN:
             return "its surfaces leave a direction open, as flat ground and tunnels do"
         return ""
@@ -77,13 +74,14 @@ class Surface:
             return Fit(guess, 0.0, 0.0)
         registration = import_open3d().pipelines.registration
         cloud, pose = point_cloud(points), self._moved(guess, -self._origin)
+        source = cloud
         criteria = registration.ICPConvergenceCriteria(max_iteration=_ITERATIONS)
         for target, (voxel, distance) in zip(self._clouds, _SCALES, strict=True):
             kernel = registration.TukeyLoss(k=distance)
             estimation = registration.TransformationEstimationPointToPlane(kernel)
             source = cloud.voxel_down_sample(voxel)
             pose = registration.registration_icp(source, target, distance, pose, estimation, criteria).transformation
-        fitness, hold = self._judge(np.asarray(source.points), np.asarray(pose))
+        fitness, hold = self._judge(source, np.asarray(pose))
         return Fit(self._moved(pose, self._origin), fitness, hold)
 
     @staticmethod
@@ -92,19 +90,32 @@ class Surface:
         moved[:3, 3] += offset
         return moved
 
-    def _judge(self, points: Array, pose: Array) -> tuple[float, float]:
-        """Return fitness and hold of a cloud at a pose."""
+    def _judge(self, cloud: Any, pose: Array) -> tuple[float, float]:
+        """Return fitness and hold of a cloud of Open3D at a pose.
+
+        The ground has most of the points, and fits wherever the drone is at the right height. A point therefore counts
+        by its leverage, the share by which it settles the pose (Belsley, Kuh and Welsch 1980): trunks count more.
+        """
         assert self._tree is not None
-        turned = points @ pose[:3, :3].T
-        distance, index = self._tree.query(turned + pose[:3, 3], distance_upper_bound=_REACH)
+        cloud.estimate_normals(import_open3d().geometry.KDTreeSearchParamKNN(_NORMAL_NEIGHBOURS))
+        points = np.asarray(cloud.points)
+        rows = _motion_rows(points, np.asarray(cloud.normals))
+        leverage = np.einsum("ni,ij,nj->n", rows, np.linalg.pinv(rows.T @ rows), rows)
+        points = points @ pose[:3, :3].T + pose[:3, 3]
+        distance, index = map(np.asarray, self._tree.query(points, distance_upper_bound=_REACH))
         near = np.isfinite(distance)
+        offset = np.full(len(points), np.inf)
         normals = self._normals[index[near]]
-        offset = np.einsum("ni,ni->n", turned[near] + pose[:3, 3] - self._fine[index[near]], normals)
-        lies = np.abs(offset) < _NEAR
+        offset[near] = np.abs(np.einsum("ni,ni->n", points[near] - self._fine[index[near]], normals))
+        lies = offset < _NEAR
         if not lies.any():
             return 0.0, 0.0
-        lever, normal = turned[near][lies], normals[lies]
-        lever = lever / max(float(np.sqrt((lever**2).sum(axis=1).mean())), 1e-9)
-        rows = np.concatenate([np.cross(lever, normal), normal], axis=1)
-        hold = float(np.linalg.eigvalsh(rows.T @ rows / len(rows))[0])
-        return float(lies.sum() / len(points)), hold
+        held = _motion_rows(points[lies] - pose[:3, 3], normals[lies[near]])
+        hold = float(np.linalg.eigvalsh(held.T @ held / len(held))[0])
+        return float(leverage[lies].sum() / leverage.sum()), hold
+
+
+def _motion_rows(points: Array, normals: Array) -> Array:
+    """Return by how much points [n, 3] leave their planes when the body turns, in mean distances, or moves [n, 6]."""
+    lever = points / max(float(np.sqrt((points**2).sum(axis=1).mean())), 1e-9)
+    return np.concatenate([np.cross(lever, normals), normals], axis=1)
