@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 from aero_planner.quaternions import conjugate, quaternion_from_angles, rotate
-from aero_viz.explain.hidden_points import NEAR, is_hidden
+from aero_viz.explain.hidden_points import NEAR, hides
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.scenes.device_worlds import DeviceWorlds
 from aero_viz.sensors import LidarModel
@@ -28,8 +28,7 @@ Array = NDArray[np.float64]
 _FRAMES, _FRAMES_WITHOUT_WORLD = 100, 12
 """Last ticks whose lines of sight are examined, with rays and with hidden points."""
 _IN_SIGHT, _UNCERTAIN = "in sight", "not known"
-_HIDDEN = {True: "what the cloud shows before it", False: "", None: None}
-"""What hides a place, by what a cloud tells."""
+_SHOWN = "what the cloud shows before it"
 
 
 @dataclass(frozen=True)
@@ -187,8 +186,8 @@ def _occluders(frames: Sequence[Frame], eyes: Array, offset: Array, distance: Ar
     known = [frame.world for frame in frames if frame.world is not None]
     if len(known) < len(frames):
         return [
-            _HIDDEN[is_hidden(frame.observation.points, eye, eye + way)]
-            for frame, eye, way in zip(frames, eyes, offset, strict=True)
+            _SHOWN if hides(frame.observation.points, eye, place) else "" if _is_measured(frame, place) else None
+            for frame, eye, place in zip(frames, eyes, eyes + offset, strict=True)
         ]
     # An eye at the place itself has no direction to it; nothing occludes the place from there.
     directions = offset / np.maximum(distance, 1e-9)[:, None]
@@ -200,3 +199,9 @@ def _occluders(frames: Sequence[Frame], eyes: Array, offset: Array, distance: Ar
     hits = eyes + np.where(np.isfinite(ranges), ranges, 0.0)[:, None] * directions
     found = zip(known, hits, is_occluded, strict=True)
     return [world.nearest(hit)[1] if occludes else "" for world, hit, occludes in found]
+
+
+def _is_measured(frame: Frame, place: Array) -> bool:
+    """Return True if the newest sweep has a point at a place [m], shape [3]."""
+    sweeps = list(frame.observation.sweeps)
+    return bool(sweeps) and bool((np.linalg.norm(sweeps[-1] - place, axis=1) < NEAR).any())
