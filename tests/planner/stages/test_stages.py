@@ -377,7 +377,7 @@ print(PlannerConfig().replace({"vehicle.model": "mine"}).vehicle.model)
 
 def test_what_is_brought_may_build_on_what_ships():
     """Models and terms that ship do not import the configuration, which imports what is brought."""
-    assert run(BUILT_ON) == "mine\n"
+    assert run(BUILT_ON) == "mine"
 
 
 # The history.
