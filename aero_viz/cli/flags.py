@@ -286,6 +286,11 @@ class RecordingFlags:
     cloud_frame: CloudFrame = "auto"
     """What the clouds move with: the body, or the world, as a map does; auto goes by the name of their frame."""
 
+    @property
+    def estimates_motion(self) -> bool:
+        """True if opening the recording takes the time of an estimate."""
+        return self.odometry != "none" or self.map is not None
+
     def options(self) -> dict[str, Any]:
         """Return the arguments of `open_recording`."""
         return dict(vars(self))

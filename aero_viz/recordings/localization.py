@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from aero_planner.quaternions import integrate_rates, quaternion_of_matrix, rotation_matrix, rotation_vector
+from aero_planner.quaternions import integrate_rates, quaternion_of_matrix, rotation_vector
 from aero_viz.errors import UserError
 from aero_viz.recordings.alignment import place
 from aero_viz.recordings.map_cloud import read_map_cloud
 from aero_viz.recordings.odometry import Motion, OdometryProgress
 from aero_viz.recordings.poses import RecordedPoses
 from aero_viz.recordings.registration import Fit, Surface
-from aero_viz.recordings.transforms import Transform
+from aero_viz.recordings.transforms import Transform, matrix_of
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
@@ -148,17 +148,17 @@ def locate_in_map(
                 rough.append((index, when, found))
         ms.append(1e3 * (time.perf_counter() - began))
         progress(index + 1, count)
-    if len(rough) < 2:
+    fine = rough if known is not None or len(rough) < 2 else list(_refined(recording, tracker, rough))
+    for index, when, fit in fine:
+        if problem := fit.problem(least=_FITNESS_MIN):
+            lost.setdefault(index, (when, problem))
+    fine = [(index, when, fit) for index, when, fit in fine if not fit.problem(least=_FITNESS_MIN)]
+    if len(fine) < 2:
         at, reason = next(iter(lost.values()), (0.0, "there is a single sweep"))
         raise UserError(
             f"{recording.path} is not found in the map: at {at:.1f} s, {reason}. Give --map-start, the pose in the map "
             "from which it starts, to a metre and 15 degrees."
         )
-    fine = rough if known is not None else list(_refined(recording, tracker, rough))
-    for index, when, fit in fine:
-        if problem := fit.problem(least=_FITNESS_MIN):
-            lost.setdefault(index, (when, problem))
-    fine = [(index, when, fit) for index, when, fit in fine if not fit.problem(least=_FITNESS_MIN)]
     fitness = float(np.median([fit.fitness for *_, fit in fine]))
     return _motion(fine)._replace(ms_per_sweep=float(np.median(ms)), problems=_describe(lost), fitness=fitness)
 
@@ -235,10 +235,3 @@ def in_body(sweep: PointSweep, poses: RecordedPoses, when: float) -> Array:
 def pose_matrix(poses: RecordedPoses, when: float) -> Array:
     """Return the recorded pose at a time [s], or the first or last one before or after all, [4, 4]."""
     return matrix_of(*poses.track.interpolate(float(np.clip(when, poses.track.times[0], poses.track.times[-1]))))
-
-
-def matrix_of(position: Array, quaternion: Array) -> Array:
-    """Return a pose as a matrix [4, 4]."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation_matrix(quaternion), position
-    return matrix

@@ -21,7 +21,7 @@ from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_smoothing import smooth_motion
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.recordings.poses import RecordedPoses
-from aero_viz.recordings.transforms import IDENTITY, Transform
+from aero_viz.recordings.transforms import IDENTITY, Transform, matrix_of
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
@@ -198,7 +198,7 @@ class _RkoLio:
         self._lio, self._failure = LIO(config), InputError
         self._imu, self._start, self._next = imu, start, 0
         # Its own search for gravity needs a drone at rest. Here the base is level at the start, so that none is needed.
-        self._level, self._mount = level, level @ _matrix(mount)
+        self._level, self._mount = level, level @ matrix_of(*mount)
 
     def __call__(self, sweep: PointSweep) -> NDArray[np.float64] | None:
         """Return the pose of the body at the end of a sweep, [4, 4], None if it could not be registered."""
@@ -239,12 +239,6 @@ def _silence_exit() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
     atexit.register(discard)
-
-
-def _matrix(transform: Transform) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation_matrix(transform.quaternion), transform.position
-    return matrix
 
 
 def _level(imu: ImuSamples | None, mount: Transform, start: int) -> NDArray[np.float64]:

@@ -20,8 +20,6 @@ _NEAR = 0.25
 """A point this near to the surface lies on it [m]."""
 _REACH = 1.0
 """Points farther from any point of the surface are of what it lacks, and say nothing about the pose [m]."""
-
-
 _POINTS_MIN = 30
 """Fewer points are no surface."""
 _HOLD_MIN = 0.005
