@@ -103,7 +103,7 @@ def rewritten(blind: Path, target: Path, change: Callable[[int, np.ndarray], np.
     """Write the sweeps of a recording with other points."""
     with open_recording(blind) as recording:
         sweeps = [recording.sweep(i) for i in range(len(recording.sweep_times))]
-        start = 1e-9 * recording.start
+        start = 1e-9 * (recording.start - bags.START)
     items = [bags.cloud(start + s.time, bags.xyz(change(i, s.points))) for i, s in enumerate(sweeps)]
     return bags.write_mcap(target, items)
 
