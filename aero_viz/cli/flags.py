@@ -267,6 +267,12 @@ class RecordingFlags:
     odometry: OdometryChoice = "none"
     """Estimate the motion from the sweeps: auto does so where no poses are recorded, by rko-lio with an IMU and by
     kiss-icp without; the named methods also replace recorded poses. The result is cached."""
+    map: OptionalPath = None
+    """Cloud of a known map (PCD, PLY, LAS, E57, NPY, text, a bag) in which each sweep is located, by multi-scale ICP
+    from where the other poses, or a constant velocity, lead to. A sweep that does not fit is named."""
+    map_start: OptionalPose = None
+    """Position [m] and roll, pitch, yaw [deg] in the map at the first sweep, to a metre and 15 deg; by default those of
+    the other poses, or the origin."""
     extrinsic: OptionalPose = None
     """Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of the recorded ones."""
     mask: OptionalBox = None
@@ -279,6 +285,11 @@ class RecordingFlags:
     points. `inspect` lists them."""
     cloud_frame: CloudFrame = "auto"
     """What the clouds move with: the body, or the world, as a map does; auto goes by the name of their frame."""
+
+    @property
+    def estimates_motion(self) -> bool:
+        """True if opening the recording takes the time of an estimate."""
+        return self.odometry != "none" or self.map is not None
 
     def options(self) -> dict[str, Any]:
         """Return the arguments of `open_recording`."""

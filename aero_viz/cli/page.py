@@ -143,7 +143,7 @@ def play(
     def opener(spec: str, *, seed: int, read: Reader = read_here, conditions: Conditions | None = None) -> Source:
         if not _is_same(spec, recording):
             return open_source(spec, seed=seed, device=device, goal_ahead=goal_ahead, read=read, conditions=conditions)
-        with progress_bar("estimating the motion", enabled=recording_flags.odometry != "none") as update_bar:
+        with progress_bar("estimating the motion", enabled=recording_flags.estimates_motion) as update_bar:
             options = recording_flags.options()
             options["progress"] = lambda done, total: update_bar(done, total, f"{done} of {total} sweeps")
             return open_source(

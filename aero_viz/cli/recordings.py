@@ -20,12 +20,20 @@ if TYPE_CHECKING:
 _RECORDING = RecordingFlags()
 
 
-def inspect(file: FileName, *, recording_flags: Inline[RecordingFlags] = _RECORDING, json: bool = False) -> None:
+def inspect(
+    file: FileName,
+    *,
+    check_poses: bool = False,
+    recording_flags: Inline[RecordingFlags] = _RECORDING,
+    json: bool = False,
+) -> None:
     """Show what a recording contains and which parts can be played.
 
     Args:
         file: ROS bag, MCAP file, folder or file of clouds, or capture of packets; or a log of PX4 (ULog), whose
             parameters and hover thrust are checked.
+        check_poses: Register all sweeps, each with those before or, with --map, with that map, and report by how much
+            the poses drift and turn against it.
         recording_flags: The recording.
         json: Print one JSON object.
     """
@@ -35,7 +43,10 @@ def inspect(file: FileName, *, recording_flags: Inline[RecordingFlags] = _RECORD
     if is_px4_log(Path(file)):
         print_report(check_px4_log(Path(file)), as_json=json)
         return
-    report = inspect_recording(file, **recording_flags.options())
+    with progress_bar(file, enabled=not json) as update_bar:
+        options = recording_flags.options()
+        options["progress"] = lambda done, total: update_bar(done, total, f"{done} of {total} registrations")
+        report = inspect_recording(file, check_poses=check_poses, **options)
     print_report(report, as_json=json)
     if not report.sweeps:
         raise SystemExit(2)

@@ -14,6 +14,7 @@ from aero_planner import PlanStatus
 from aero_planner.plan import BrakingCandidates
 from aero_planner.quaternions import rotate
 from aero_planner.stages.stop_proof.stops import STOPPED
+from aero_viz.explain.contact import contact, meeting_sentence
 from aero_viz.explain.decision import Decision
 from aero_viz.explain.evidence import Evidence, PlanEvidence, Replanner
 from aero_viz.explain.trace import FlightTrace
@@ -32,6 +33,8 @@ _APPROACH_MIN = 0.5
 _ENDS = {"stall": "stalled", "timeout": "out of time", "out_of_bounds": "left the world"}
 _MOVING = "hit a moving obstacle"
 _AGAIN = "computed again"
+_STEP = 0.01
+"""Step for the velocity of an obstacle [s]."""
 _RADIUS = 6
 """Column of `World.cylinders` with the radius."""
 _SAME_OBSTACLE = 0.5
@@ -128,15 +131,19 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     last, end = trace.last, trace.end_position
     world = last.world
     frames = [frame for frame in trace.frames if frame.time < trace.end_time - 1e-9] or list(trace.frames)
-    place, obstacle = _contact(last, world, end)
+    place, obstacle, normal = contact(last, world, end)
     sentences = [f"It hit {obstacle} at {_point(end)}." if world else f"It collided at {_point(end)}."]
+    velocity = trace.end_velocity
     moving_row = _moving_row(last.moving_world, obstacle)
     if world is not None and last.moving_world is not None and moving_row is not None:
         speed = float(np.linalg.norm(last.moving_world.motion[moving_row, :2]))
+        now, before = (last.moving_world.at(trace.end_time - late).cylinders[moving_row] for late in (0.0, _STEP))
+        velocity = velocity - (now - before)[:3] / _STEP
         cylinders = np.stack([last.moving_world.at(frame.time).cylinders[moving_row] for frame in frames])
         place = place + cylinders[:, :3] - world.cylinders[moving_row, :3]
         sentences = [f"It hit {obstacle}, which moves at {speed:.1f} m/s, at {_point(end)}."]
         sentences += _followed_sentence(frames, cylinders)
+    sentences += meeting_sentence(normal, velocity)
     seen = find_seen(frames, place)
     estimated = _last_braking(frames, last.moving_world, trace.rules.radius, _planned_braking)
     frame = estimated
@@ -147,7 +154,7 @@ def _collision(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -> 
     until = None if estimated is None else round(estimated.time, 3)
     evidence = None if frame is None else replan(frame)
     braking = None if frame is None or evidence is None else _braking_tick(frame, evidence, trace.end_time, until)
-    sentences.append(_seen_sentence(seen, braking))
+    sentences += [_seen_sentence(seen, braking), *_sight_sentence(seen)]
     if ensemble(last.plan) is None:
         sentences.append("Whether braking would have worked is not known: this planner reports no braking paths.")
     else:
@@ -213,15 +220,12 @@ def _seen_sentence(seen: Seen, braking: BrakingTick | None) -> str:
     return f"It had been in the cloud since {seen.since_s:.2f} s{before}; before that, it was {seen.detail}."
 
 
-def _contact(frame: Frame, world: World | None, position: Array) -> tuple[Array, str]:
-    """Return the place on the surface that was hit [m], shape [3], and the name of the obstacle."""
-    if world is None:
-        points = np.concatenate([np.asarray(frame.observation.points), position[None]])
-        return points[np.linalg.norm(points[:-1] - position, axis=1).argmin() if len(points) > 1 else 0], "an obstacle"
-    distance, name = world.nearest(position)
-    steps = 1e-3 * np.eye(3)
-    slope = (world.distance(position + steps) - world.distance(position - steps)) / 2e-3
-    return position - distance * slope / max(float(np.linalg.norm(slope)), 1e-9), name
+def _sight_sentence(seen: Seen) -> list[str]:
+    """Say that an obstacle in the cloud was out of sight at the end; nothing if it was in sight, or is not known."""
+    if seen.since_s is None or not seen.last_sight:
+        return []
+    until = "not once in the last ticks" if seen.in_sight_s is None else f"last at {seen.in_sight_s:.2f} s"
+    return [f"The sensor had it in sight {until}; at the end it was only remembered: {seen.last_sight}."]
 
 
 def _planned_braking(frame: Frame) -> BrakingCandidates | None:

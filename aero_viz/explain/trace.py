@@ -68,9 +68,17 @@ class FlightTrace:
     @property
     def end_position(self) -> NDArray[np.float64]:
         """Last true position [m], shape [3]."""
+        return np.asarray(self._end_state.position, dtype=np.float64)
+
+    @property
+    def end_velocity(self) -> NDArray[np.float64]:
+        """Last true velocity [m/s], shape [3]."""
+        return np.asarray(self._end_state.velocity, dtype=np.float64)
+
+    @property
+    def _end_state(self) -> VehicleState:
         is_later = self.end is not None and self.end[0] >= self.last.time
-        state = self.end[1] if is_later and self.end is not None else self.last.observation.actual_state
-        return np.asarray(state.position, dtype=np.float64)
+        return self.end[1] if is_later and self.end is not None else self.last.observation.actual_state
 
     @property
     def rules(self) -> FlightRules:

@@ -9,6 +9,7 @@ from aero_planner import PlanStatus, registry
 from aero_planner.costs import CostTerm
 from aero_viz.cost_text import cost_text
 from aero_viz.explain.evidence import Evidence
+from aero_viz.explain.visibility import sight_of
 from aero_viz.scenes import World
 
 Array = NDArray[np.float64]
@@ -49,6 +50,15 @@ def _nearest_name(evidence: Evidence, position: Array, time: float) -> str:
     if speed is None:
         return obstacle_name(evidence.frame.world, obstacles.nearest_point(position))
     return f"an obstacle that moves at {speed:.1f} m/s"
+
+
+def _out_of_sight(evidence: Evidence, position: Array, time: float) -> str:
+    """Return why the sensor does not see the obstacle that is nearest to a position, with a comma; empty if it does."""
+    place = evidence.obstacles.nearest_point(position)
+    if place is None or evidence.obstacles.speed_of_nearest(position, time) is not None:
+        return ""
+    words = sight_of(evidence.frame, np.asarray(place, dtype=np.float64))
+    return f", which is remembered and now {words}," if words else ""
 
 
 def verdict(evidence: Evidence, instance: int) -> str:
@@ -112,6 +122,7 @@ def _too_near(evidence: Evidence, instance: int, *, is_asked: bool) -> list[str]
         return [text] if is_asked else []
     position = np.asarray(plan.positions[instance, step + 1], dtype=np.float64)
     text = f"it comes within {distance:.2f} m of {_nearest_name(evidence, position, time)}"
+    text += _out_of_sight(evidence, position, time)
     rest = f", where {asked:.2f} m are asked" if is_asked else ""
     return [f"{text} at {time:.2f} s{rest}"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,11 +13,15 @@ from aero_viz.recordings.choices import Choices, CloudFrame
 from aero_viz.recordings.contents import Topic, read_contents
 from aero_viz.recordings.findings import Finding, Measured, find_faults, measure
 from aero_viz.recordings.folder_check import count_points
-from aero_viz.recordings.opening import configure_recording
+from aero_viz.recordings.opening import configure_recording, motion_in_map
 from aero_viz.recordings.recording import Recording
-from aero_viz.recordings.storage import open_storage, readable
+from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.topics import require_topics
 from aero_viz.text_table import format_table
+
+if TYPE_CHECKING:
+    from aero_viz.recordings.odometry import OdometryProgress
+    from aero_viz.recordings.pose_check import PoseCheck
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,8 @@ class RecordingInfo:
     points_per_sweep: PointsPerSweep | None = None
     measured: Measured | None = None
     """Rates, range and field of view; None where nothing can be played."""
+    pose_check: PoseCheck | None = None
+    """Agreement of the poses with a registration of the sweeps, where it was asked for."""
     findings: tuple[Finding, ...] = ()
     """Faults of the recording, and properties to know of."""
     problems: tuple[str, ...] = ()
@@ -70,6 +76,7 @@ class RecordingInfo:
         title = f"{self.path}: {self.format}, {self.duration_s:.1f} s"
         table = [format_table(rows, right=[3])] if rows else []
         measured = [self.measured.format_line()] if self.measured else []
+        measured += [self.pose_check.format_line()] if self.pose_check else []
         notes = [f"note: {problem}" for problem in self.problems]
         if not self.sweeps and notes:
             notes[-1] = f"FAULT (unplayable): {self.problems[-1]}"
@@ -88,6 +95,7 @@ def inspect(
     columns: str | None = None,
     sensor: str | None = None,
     cloud_frame: CloudFrame = "auto",
+    check_poses: bool = False,
     **options: Any,
 ) -> RecordingInfo:
     """Return a report on a recording. What keeps it from being played becomes one of the report's `problems`.
@@ -96,6 +104,7 @@ def inspect(
         path: file or folder.
         points_topic, pose_topic: topics to play from; None finds them by type.
         columns, sensor, cloud_frame: see `aero_viz.recordings.choices.Choices`.
+        check_poses: registers all sweeps, with a `map` in that, to check the poses.
         options: other options of `open_recording`.
 
     Raises:
@@ -113,7 +122,10 @@ def inspect(
                 recording = Recording(storage, contents, points_topic, pose_topic)
             except UserError as error:
                 return replace(report, problems=(*contents.problems, str(error)))
+            map_options = {name: options.pop(name, None) for name in ("map", "map_start")} if check_poses else {}
             configure_recording(recording, storage, contents, **options)
+            check = _check_poses(recording, storage, options.get("progress"), **map_options) if check_poses else None
+            fault = None if check is None else check.finding()
             counts, notices = count_points(recording, storage)
             return replace(
                 report,
@@ -122,12 +134,27 @@ def inspect(
                 points_topic=recording.points_topic,
                 pose_topic=recording.pose_topic,
                 measured=measure(recording),
-                findings=tuple(find_faults(recording)),
+                pose_check=check,
+                findings=(*([fault] if fault else []), *find_faults(recording)),
                 points_per_sweep=PointsPerSweep(int(counts.min()), int(np.median(counts)), int(counts.max())),
                 problems=(*recording.problems, *notices),
             )
     finally:
         storage.close()
+
+
+def _check_poses(
+    recording: Recording, storage: Storage, progress: OdometryProgress | None, map: Path | None, map_start: Any
+) -> PoseCheck:
+    from aero_viz.recordings.pose_check import check_by_map, check_by_sweeps
+
+    if recording.poses is None:
+        raise UserError(f"{storage.path} has no poses to check: give them with --poses, or locate it in a --map.")
+    show = progress or (lambda done, total: None)
+    if map is None:
+        return check_by_sweeps(recording, recording.poses, show)
+    motion = motion_in_map(recording, storage, Path(map), map_start, show)
+    return check_by_map(recording.poses, motion, len(recording.sweep_times))
 
 
 def _count(number: int, noun: str) -> str:

@@ -21,7 +21,7 @@ from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_smoothing import smooth_motion
 from aero_viz.recordings.odometry_choice import OdometryChoice
 from aero_viz.recordings.poses import RecordedPoses
-from aero_viz.recordings.transforms import IDENTITY, Transform
+from aero_viz.recordings.transforms import IDENTITY, Transform, matrix_of
 
 if TYPE_CHECKING:
     from aero_viz.recordings.recording import PointSweep, Recording
@@ -51,7 +51,7 @@ class Motion(NamedTuple):
     """Estimated motion of the body."""
 
     method: str
-    """"rko-lio" or "kiss-icp"."""
+    """"rko-lio", "kiss-icp" or "ICP in a map"."""
     times: NDArray[np.float64]
     """[n] [s] after the first playable sweep: the end of each registered sweep."""
     positions: NDArray[np.float64]
@@ -62,6 +62,8 @@ class Motion(NamedTuple):
     """Median time of a registration [ms]."""
     problems: tuple[str, ...]
     """Signs of failure and drift, and assumptions, one sentence each."""
+    fitness: float = float("nan")
+    """Median share of the points of a sweep that lie on the surfaces of a map; NaN without one."""
 
     def poses(self) -> RecordedPoses:
         """Return the motion as recorded poses."""
@@ -196,7 +198,7 @@ class _RkoLio:
         self._lio, self._failure = LIO(config), InputError
         self._imu, self._start, self._next = imu, start, 0
         # Its own search for gravity needs a drone at rest. Here the base is level at the start, so that none is needed.
-        self._level, self._mount = level, level @ _matrix(mount)
+        self._level, self._mount = level, level @ matrix_of(*mount)
 
     def __call__(self, sweep: PointSweep) -> NDArray[np.float64] | None:
         """Return the pose of the body at the end of a sweep, [4, 4], None if it could not be registered."""
@@ -237,12 +239,6 @@ def _silence_exit() -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
 
     atexit.register(discard)
-
-
-def _matrix(transform: Transform) -> NDArray[np.float64]:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation_matrix(transform.quaternion), transform.position
-    return matrix
 
 
 def _level(imu: ImuSamples | None, mount: Transform, start: int) -> NDArray[np.float64]:

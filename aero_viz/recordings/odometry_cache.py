@@ -15,7 +15,7 @@ from aero_planner.output_files import whole_file
 from aero_planner.user_file import open_user_file
 from aero_viz.recordings.odometry import Motion
 
-_VERSION = 5
+_VERSION = 6
 """Changes when the estimate of the same file would change."""
 _WHOLE = 64 << 20
 """A file up to this size is hashed as a whole, of a larger one only `_SAMPLES` blocks of `_BLOCK` bytes [bytes]."""
@@ -53,9 +53,8 @@ def load_motion(key: str) -> Motion | None:
         with np.load(cache_folder() / f"{key}.npz", allow_pickle=False) as data:
             arrays = {name: data[name] for name in ("times", "positions", "quaternions")}
             problems = tuple(map(str, data["problems"]))
-            return Motion(
-                method=str(data["method"]), ms_per_sweep=float(data["ms_per_sweep"]), problems=problems, **arrays
-            )
+            numbers = {name: float(data[name]) for name in ("ms_per_sweep", "fitness")}
+            return Motion(method=str(data["method"]), problems=problems, **numbers, **arrays)
     except Exception:  # a damaged cache is no reason to fail: the motion is estimated again
         return None
 

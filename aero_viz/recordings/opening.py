@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +18,7 @@ from aero_viz.recordings.storage import Storage, open_storage, readable
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
 if TYPE_CHECKING:
-    from aero_viz.recordings.odometry import OdometryProgress
+    from aero_viz.recordings.odometry import Motion, OdometryProgress
     from aero_viz.recordings.odometry_choice import OdometryChoice
 
 
@@ -28,6 +29,8 @@ def open_recording(
     pose_topic: str | None = None,
     odometry: OdometryChoice = "none",
     poses: str | Path | None = None,
+    map: str | Path | None = None,
+    map_start: Sequence[float] | None = None,
     extrinsic: Sequence[float] | None = None,
     mask: Sequence[float] | None = None,
     columns: str | None = None,
@@ -48,6 +51,10 @@ def open_recording(
         odometry: "auto" estimates poses from the sweeps where none are recorded, "rko-lio" and "kiss-icp" also
             replace recorded ones, "none" estimates nothing. The estimate is kept in the user's cache folder.
         poses: file of poses to play with, see `aero_viz.recordings.pose_files`; None plays with the recorded ones.
+        map: cloud in which the sweeps are located, see `aero_viz.recordings.localization`; other poses are then the
+            first guess of the motion. The result is kept in the cache folder, too.
+        map_start: x, y, z [m] and roll, pitch, yaw [deg] of the body in the map at the first sweep; None is the first
+            of the other poses, or the origin.
         extrinsic: x, y, z [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, in place of the recorded
             pose.
         mask: box in the body's frame whose points are left out, see `Recording.mask`.
@@ -68,6 +75,8 @@ def open_recording(
                 contents,
                 odometry=odometry,
                 poses=poses,
+                map=map,
+                map_start=map_start,
                 extrinsic=extrinsic,
                 mask=mask,
                 progress=progress,
@@ -85,13 +94,15 @@ def configure_recording(
     *,
     odometry: OdometryChoice = "none",
     poses: str | Path | None = None,
+    map: str | Path | None = None,
+    map_start: Sequence[float] | None = None,
     extrinsic: Sequence[float] | None = None,
     mask: Sequence[float] | None = None,
     progress: OdometryProgress = lambda done, total: None,
 ) -> None:
     """Apply the options of `open_recording` to a recording, and use the poses of a file next to its clouds."""
     if extrinsic is not None:
-        recording.mount(_mounting(extrinsic))
+        recording.mount(_pose(extrinsic, "--extrinsic"))
     if mask is not None:
         lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
         if not all(low < high for low, high in zip(lower, upper, strict=True)):
@@ -105,6 +116,11 @@ def configure_recording(
         add_poses(recording, Path(poses))
     elif odometry != "none" and (recording.poses is None or odometry != "auto"):
         _add_odometry(recording, storage, contents, odometry, progress)
+    if map is not None:
+        motion = motion_in_map(recording, storage, Path(map), map_start, progress)
+        _use_motion(recording, motion, f"poses in {Path(map).name}")
+    elif map_start is not None:
+        raise UserError("--map-start is a pose in the map of --map: give that, too.")
     if len(recording.sweep_times) == 1 and storage.format.startswith(("mcap", "rosbag")):
         recording.problems.append(
             f"a single cloud is one sweep; to fly through it as a world: aero-viz demo {recording.path.name}"
@@ -117,8 +133,8 @@ def configure_recording(
             recording.problems.append(f"{found.evidence}: {found.advice}")
 
 
-def _mounting(values: Sequence[float]) -> Transform:
-    x, y, z, roll, pitch, yaw = _checked(values, "--extrinsic", "x y z [m] roll pitch yaw [deg]")
+def _pose(values: Sequence[float], flag: str) -> Transform:
+    x, y, z, roll, pitch, yaw = _checked(values, flag, "x y z [m] roll pitch yaw [deg]")
     return Transform(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
 
 
@@ -154,5 +170,40 @@ def _add_odometry(
             )
             motion = motion._replace(problems=(*motion.problems, notice))
         save_motion(key, motion)
+    _use_motion(recording, motion, f"odometry by {motion.method}")
+
+
+def motion_in_map(
+    recording: Recording, storage: Storage, path: Path, start: Sequence[float] | None, progress: OdometryProgress
+) -> Motion:
+    """Return the motion of a recording in a map, from the cache where it is known; see `open_recording`."""
+    from aero_viz.recordings.localization import locate_in_map, read_map_points
+    from aero_viz.recordings.odometry_cache import load_motion, motion_key, save_motion
+
+    first, known = IDENTITY, recording.poses
+    if start is not None:
+        first = _pose(start, "--map-start")
+    elif known is not None:
+        pose = known.interpolate(recording.sweep_times[0])
+        first = Transform(pose.position + known.offset, pose.quaternion)
+    cloud = read_map_points(path)
+    files = [part for file in storage.files for part in file.parts]
+    settings = [cloud, *first, *(() if known is None else (known.times, known.positions, known.quaternions))]
+    digest = hashlib.blake2b(b"".join(np.ascontiguousarray(values).tobytes() for values in settings)).hexdigest()
+    key = motion_key(files, digest, recording.points_topic, *recording.changes)
+    motion = load_motion(key)
+    if motion is None:
+        motion = locate_in_map(recording, cloud, first, progress=progress)
+        save_motion(key, motion)
+    return motion
+
+
+def _use_motion(recording: Recording, motion: Motion, name: str) -> None:
+    """Play with an estimated motion, and the sweeps that have a pose in it."""
+    poses, sweeps = motion.poses(), recording.sweep_times
+    covered = poses.covers(sweeps)
+    recording.keep(covered)
     source = f"poses are estimated by {motion.method}, {motion.ms_per_sweep:.0f} ms a sweep"
-    recording.use_poses(motion.poses(), f"odometry by {motion.method}", [source, *motion.problems], origin="odometry")
+    source += "" if np.isnan(motion.fitness) else f", fit {motion.fitness:.0%}"
+    first = float(sweeps[covered][0])
+    recording.use_poses(poses.shifted(first), name, [source, *motion.problems], origin="odometry")

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner.pose_track import PoseTrack
-from aero_planner.quaternions import compose_transforms, invert_transform
+from aero_planner.quaternions import compose_transforms, invert_transform, rotation_matrix
 from aero_viz.recordings.poses import sort_poses
 
 FIXED_FRAMES = ("map", "world", "odom", "camera_init")
@@ -42,6 +42,13 @@ class MovingBody(NamedTuple):
     """Name of the body's frame."""
     in_world: bool = False
     """True if the clouds are in the fixed frame."""
+
+
+def matrix_of(position: NDArray[np.float64], quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a pose as a matrix [4, 4]."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation_matrix(quaternion), position
+    return matrix
 
 
 @dataclass

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import KDTree
 
-from aero_viz.errors import UserError
+from aero_viz.open3d_clouds import import_open3d, point_cloud
 from aero_viz.scenes.primitives import DISTANCES
 
 Array = NDArray[np.float64]
@@ -43,29 +43,6 @@ class Fit(NamedTuple):
     def distances(self, points: Array) -> Array:
         """Return the distance of each point [n, 3] to the surface [m], [n]."""
         return np.abs(DISTANCES[self.table](points[:, None, :], self.row[None])[:, 0])
-
-
-def import_open3d() -> Any:
-    """Return the module open3d, silenced.
-
-    Raises:
-        UserError: it cannot be loaded; says how to install it.
-    """
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise UserError(
-            f"Solids are fitted with Open3D, which cannot be loaded ({error}): run pip install open3d-cpu, and install "
-            "its system libraries (Debian, Ubuntu: sudo apt-get install libegl1 libgl1 libgomp1 libusb-1.0-0)."
-        ) from error
-    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    return open3d
-
-
-def point_cloud(points: Array) -> Any:
-    """Return the points as a cloud of Open3D."""
-    open3d = import_open3d()
-    return open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
 
 
 def fit_primitive(points: Array, tolerance: float, spacing: float, height: Height) -> Fit | None:

@@ -12,14 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from aero_viz.errors import UserError
+from aero_viz.open3d_clouds import import_open3d, point_cloud
 from aero_viz.scenes.fitted_solids import (
     FITTED_SHARE,
     Height,
     clusters,
     fit_primitive,
-    import_open3d,
     mesh_triangles,
-    point_cloud,
     split_trunks,
     split_walls,
 )

@@ -19,10 +19,17 @@ CAMERA = {
 """The first message of a page; viser counts a client from then on."""
 
 
-def join(server: LocalServer, headers: Sequence[tuple[str, str]] = (), *, path: str = "", **options: Any) -> Connection:
-    """Open a websocket to the server as the page does."""
+def join(
+    server: LocalServer,
+    headers: Sequence[tuple[str, str]] = (),
+    *,
+    path: str = "",
+    url: str | None = None,
+    **options: Any,
+) -> Connection:
+    """Open a websocket to the server, at another `url` through a proxy, as the page does."""
     protocol: Any = f"viser-v{viser.__version__}"
-    url = server.url.replace("http", "ws") + path
+    url = url or server.url.replace("http", "ws") + path
     # A client that stops reading what it does not need would miss the answer when it closes, and wait for 10 s.
     options = {"max_size": None, "max_queue": None, "open_timeout": 60.0} | options
     return connect(url, subprotocols=[protocol], additional_headers=headers, **options)

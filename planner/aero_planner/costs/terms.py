@@ -10,45 +10,44 @@ from typing import Any
 import warp as wp
 
 from aero_planner.costs.cost_term import CostTerm, End, Step
-from aero_planner.device.params import Params
 from aero_planner.device.rotations import quat_multiply
 
 wp.set_module_options({"enable_backward": False})
 
 
 @wp.func
-def track_cost(s: Step, c: Params) -> float:
+def track_cost(s: Step, c: Any) -> float:
     """Return J_track: Q_track |p - p_traj|."""
     return c.q_track * float(s.is_guided) * wp.length(s.p - s.p_guide)
 
 
 @wp.func
-def vnorm_cost(s: Step, c: Params) -> float:
+def vnorm_cost(s: Step, c: Any) -> float:
     """Return J_vnorm: Q_vnorm |v|^2."""
     return c.q_vnorm * wp.dot(s.v, s.v)
 
 
 @wp.func
-def control_cost(s: Step, c: Params) -> float:
+def control_cost(s: Step, c: Any) -> float:
     """Return the first part of J_ctrl: Q_c |u|^2 for t = 0 .. N-2."""
     return wp.where(s.t < s.last, c.q_control, 0.0) * wp.dot(s.u, s.u)
 
 
 @wp.func
-def control_rate_cost(s: Step, c: Params) -> float:
+def control_rate_cost(s: Step, c: Any) -> float:
     """Return the second part of J_ctrl: Q_cd |u_t - u_{t-1}|^2 for t = 1 .. N-2."""
     du = s.u - s.u_before
     return wp.where(s.t > 0 and s.t < s.last, c.q_control_rate, 0.0) * wp.dot(du, du)
 
 
 @wp.func
-def goal_position_cost(s: Step, c: Params) -> float:
+def goal_position_cost(s: Step, c: Any) -> float:
     """Return the first part of J_goal: Q_p |p - p_goal|."""
     return c.q_position * wp.length(s.p - s.p_goal)
 
 
 @wp.func
-def goal_velocity_cost(s: Step, c: Params) -> float:
+def goal_velocity_cost(s: Step, c: Any) -> float:
     """Return the second part of J_goal: Q_v |v - v_goal|."""
     return c.q_velocity * wp.length(s.v - s.v_goal)
 
@@ -64,13 +63,13 @@ def attitude_distance(q: wp.vec4, q_goal: wp.vec4) -> float:
 
 
 @wp.func
-def goal_attitude_cost(s: Step, c: Params) -> float:
+def goal_attitude_cost(s: Step, c: Any) -> float:
     """Return the third part of J_goal: Q_q |R(q) R(q_goal)^T - I|_F."""
     return c.q_attitude * attitude_distance(s.q, s.q_goal)
 
 
 @wp.func
-def collision_cost(d: float, c: Params) -> float:
+def collision_cost(d: float, c: Any) -> float:
     """Return J_col at clearance d [m]. It is zero from d_max on and has one of two shapes below.
 
     "exponential" is the paper's: C below d_min, C exp(-a (d - d_min)) above. "quadratic" is w s^2 with
@@ -86,14 +85,14 @@ def collision_cost(d: float, c: Params) -> float:
 
 
 @wp.func
-def speed_cost(s: Step, c: Params) -> float:
+def speed_cost(s: Step, c: Any) -> float:
     """Return q_speed max(0, |v| - speed_limit)^2. The paper does not have it."""
     excess = wp.max(0.0, wp.length(s.v) - c.speed_limit)
     return c.q_speed * excess * excess
 
 
 @wp.func
-def control_jump_cost(s: Step, c: Params) -> float:
+def control_jump_cost(s: Step, c: Any) -> float:
     """Return q_control_jump |omega_0 - omega|^2, from the command in force to the first one of a plan.
 
     The paper does not have it. Jumps of the thrust are free: a price on them keeps a drone climbing that has begun to.
@@ -103,7 +102,7 @@ def control_jump_cost(s: Step, c: Params) -> float:
 
 
 @wp.func
-def blocked_path_cost(e: End, views: Any, c: Params) -> float:
+def blocked_path_cost(e: End, views: Any, c: Any) -> float:
     """Return the cost-to-go: q_blocked times the blocked length of the straight path from the end to the goal.
 
     The paper does not have it.

@@ -9,10 +9,11 @@ at most rate_xy_max |g|, by which the thrust vector turns at its largest rate in
 
 # Postponed annotations are left out: Warp structs need the types themselves.
 
+from typing import Any
+
 import warp as wp
 
 from aero_planner.device.lag import lag_share
-from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, force_at, guide_force
 from aero_planner.device.rotations import quat_multiply
 from aero_planner.models.vehicle_model import VehicleModel
@@ -39,7 +40,7 @@ class Constants:
 
 
 @wp.func
-def clamp(u: wp.vec4, params: Params) -> wp.vec4:
+def clamp(u: wp.vec4, params: Any) -> wp.vec4:
     """Return u with the thrust per mass a - g and the yaw rate within their bounds.
 
     A thrust that is too large keeps its direction, unless that leaves less than the smallest thrust upward.
@@ -57,7 +58,7 @@ def clamp(u: wp.vec4, params: Params) -> wp.vec4:
 
 
 @wp.func
-def noise(params: Params) -> wp.vec4:
+def noise(params: Any) -> wp.vec4:
     """Return the standard deviations of acceleration and yaw rate that the noise of a quadrotor's controls causes."""
     level = _TILT_TIME * params.gravity * wp.sqrt(params.variance_rate_xy)
     vertical = wp.sqrt(params.variance_thrust) / params.mass
@@ -65,13 +66,13 @@ def noise(params: Params) -> wp.vec4:
 
 
 @wp.func
-def level_lag(params: Params) -> float:
+def level_lag(params: Any) -> float:
     """Return tau along x and y [s]."""
     return _ATTITUDE_LAG + params.rate_lag
 
 
 @wp.func
-def reach_in(time: float, params: Params) -> wp.vec3:
+def reach_in(time: float, params: Any) -> wp.vec3:
     """Return how far the acceleration goes toward its command in a time [s].
 
     It goes a share of the way along x and y, at most so far [m/s^2], and a share of the way along z.
@@ -90,13 +91,13 @@ def toward(a: wp.vec4, u: wp.vec4, reach: wp.vec3) -> wp.vec4:
 
 
 @wp.func
-def respond(u: wp.vec4, acting: wp.vec4, time: float, params: Params) -> wp.vec4:
+def respond(u: wp.vec4, acting: wp.vec4, time: float, params: Any) -> wp.vec4:
     """Return the acceleration in effect after u was commanded for a time [s]."""
     return toward(acting, u, reach_in(time, params))
 
 
 @wp.func
-def constants(disturbance: wp.vec3, drag: float, dt: float, params: Params) -> Constants:
+def constants(disturbance: wp.vec3, drag: float, dt: float, params: Any) -> Constants:
     """Return the constants of steps of dt [s]."""
     k = Constants()
     k.dt = dt
@@ -139,7 +140,7 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
 @wp.func
 def follow(
     p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
-    params: Params,
+    params: Any,
 ) -> wp.vec4:  # fmt: skip
     """Return the acceleration with which to follow a guide, less disturbance and drag.
 

@@ -7,10 +7,11 @@ With lags tau, u is the control in effect and follows the commands c: du = (c - 
 
 # Postponed annotations are left out: Warp structs need the types themselves.
 
+from typing import Any
+
 import warp as wp
 
 from aero_planner.device.lag import lag_share
-from aero_planner.device.params import Params
 from aero_planner.device.quintics import Quintic, force_at, guide_force
 from aero_planner.device.rotations import near_atan2, quat_inverse_rotate, quat_multiply
 from aero_planner.models.vehicle_model import VehicleModel
@@ -31,7 +32,7 @@ class Constants:
 
 
 @wp.func
-def clamp(u: wp.vec4, params: Params) -> wp.vec4:
+def clamp(u: wp.vec4, params: Any) -> wp.vec4:
     """Return u clamped to the limits of the vehicle."""
     xy = params.rate_xy_max
     z = params.rate_z_max
@@ -44,14 +45,14 @@ def clamp(u: wp.vec4, params: Params) -> wp.vec4:
 
 
 @wp.func
-def lag_shares(time: float, params: Params) -> wp.vec4:
+def lag_shares(time: float, params: Any) -> wp.vec4:
     """Return the shares of the differences between commands and controls that remain after `time` [s]."""
     rates = lag_share(params.rate_lag, time)
     return wp.vec4(lag_share(params.thrust_lag, time), rates, rates, rates)
 
 
 @wp.func
-def mean_lag_shares(remaining: wp.vec4, time: float, params: Params) -> wp.vec4:
+def mean_lag_shares(remaining: wp.vec4, time: float, params: Any) -> wp.vec4:
     """Return the means of these shares over `time` [s], at the end of which they are `remaining`."""
     lags = wp.vec4(params.thrust_lag, params.rate_lag, params.rate_lag, params.rate_lag)
     return wp.cw_mul(lags, wp.vec4(1.0, 1.0, 1.0, 1.0) - remaining) / time
@@ -151,26 +152,26 @@ def rk4_step(p: wp.vec3, v: wp.vec3, q: wp.vec4, u: wp.vec4, mass: float, g: wp.
 
 
 @wp.func
-def hover(params: Params) -> wp.vec4:
+def hover(params: Any) -> wp.vec4:
     """Return the thrust m g, without rotation."""
     return wp.vec4(params.mass * params.gravity, 0.0, 0.0, 0.0)
 
 
 @wp.func
-def noise(params: Params) -> wp.vec4:
+def noise(params: Any) -> wp.vec4:
     """Return the standard deviations of F_t and omega."""
     xy = wp.sqrt(params.variance_rate_xy)
     return wp.vec4(wp.sqrt(params.variance_thrust), xy, xy, wp.sqrt(params.variance_rate_z))
 
 
 @wp.func
-def respond(u: wp.vec4, acting: wp.vec4, time: float, params: Params) -> wp.vec4:
+def respond(u: wp.vec4, acting: wp.vec4, time: float, params: Any) -> wp.vec4:
     """Return the control in effect after u was commanded for a time [s]."""
     return lagged_control(u, acting, lag_shares(time, params))
 
 
 @wp.func
-def constants(disturbance: wp.vec3, drag: float, dt: float, params: Params) -> Constants:
+def constants(disturbance: wp.vec3, drag: float, dt: float, params: Any) -> Constants:
     """Return the constants of steps of dt [s]."""
     k = Constants()
     k.dt = dt
@@ -199,7 +200,7 @@ def acceleration(v: wp.vec3, q: wp.vec4, acting: wp.vec4, k: Constants) -> wp.ve
 @wp.func
 def follow(
     p: wp.vec3, v: wp.vec3, q: wp.vec4, acting: wp.vec4, guide: Quintic, time: float, yaw_rate: float, k: Constants,
-    params: Params,
+    params: Any,
 ) -> wp.vec4:  # fmt: skip
     """Return the control that follows a guide: F_t and omega from the flat outputs position and heading.
 

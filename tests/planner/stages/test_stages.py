@@ -362,6 +362,24 @@ def test_parts_that_clash_are_refused():
     ]
 
 
+BUILT_ON = """
+import dataclasses
+from aero_planner import registry
+from aero_planner.costs.terms import goal_position_cost
+from aero_planner.models.acceleration import ACCELERATION
+from aero_planner.models.ctbr import CTBR
+
+registry.add("models", "mine", dataclasses.replace(ACCELERATION, name="mine", label="Mine"))
+from aero_planner import PlannerConfig
+print(PlannerConfig().replace({"vehicle.model": "mine"}).vehicle.model)
+"""
+
+
+def test_what_is_brought_may_build_on_what_ships():
+    """Models and terms that ship do not import the configuration, which imports what is brought."""
+    assert run(BUILT_ON) == "mine"
+
+
 # The history.
 
 
