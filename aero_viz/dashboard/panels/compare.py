@@ -15,7 +15,7 @@ from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
-from aero_viz.dashboard.panels.charts import flight_table
+from aero_viz.dashboard.panels.flight_table import flight_table
 from aero_viz.dashboard.panels.status import clearance_text
 from aero_viz.explain.crossed_costs import ChoiceCost, CrossedCosts, crossed_costs
 from aero_viz.explain.evidence import Replanner
