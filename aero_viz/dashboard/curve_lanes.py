@@ -151,7 +151,7 @@ AXES: tuple[Any, ...] = (
     {"size": _AXIS_WIDTH, "space": 22, "gap": 4, "ticks": {"show": False}, "font": "10px system-ui"},
 )
 """Axes of all lanes. The page writes the times below the last one."""
-CURSOR: Any = {"sync": {"key": "aero-curves"}, "drag": {"x": True, "y": False, "setScale": True}, "y": False}
+CURSOR: Any = {"sync": {"key": "aero-curves"}, "drag": {"x": True, "y": False, "setScale": False}, "y": False}
 
 
 def _y_scale(axis: Axis, values: Sequence[Array]) -> dict[str, Any]:

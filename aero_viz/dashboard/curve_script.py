@@ -119,10 +119,10 @@ window.aeroCurves?.();
   const charts = dock => CHARTS.filter(chart => dock.contains(chart.root));
   const prepare = chart => {
     known.add(chart);
-    (chart.hooks.setScale ??= []).push((u, key) => {
-      const {min, max} = u.scales.x;
-      if (key === "x" && Math.max(Math.abs(min - lo), Math.abs(max - hi)) > 1e-9 * Math.max(1, Math.abs(max))
-        && u.select.width) zoom(min, max);
+    (chart.hooks.setSelect ??= []).push(u => {
+      const {left, width} = u.select;
+      if (width > 3) zoom(u.posToVal(left, "x"), u.posToVal(left + width, "x"));
+      u.setSelect({left: 0, top: 0, width: 0, height: 0}, false);
     });
     (chart.hooks.setLegend ??= []).push(u => {
       const values = u.root.querySelectorAll(".u-legend .u-value"), row = u.legend.idx;
@@ -201,6 +201,7 @@ window.aeroCurves?.();
       aeroSend(message);
     }
     dock.querySelector(".aero-whole").hidden = !span;
+    dock.querySelector(".aero-toggle").ariaExpanded = kept.open;
     if (!isOpen) return;
     for (const [name, value] of Object.entries({lo, hi, now, differs: state.dataset.differs || first - 1e6})) {
       if (dock.style.getPropertyValue(`--${name}`) !== `${value}`) dock.style.setProperty(`--${name}`, value);

@@ -204,7 +204,7 @@ def decode(data: bytes) -> PageMessage:
         message: PageMessage = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise ValueError(str(error)) from error
-    if not all(map(math.isfinite, _numbers(message))):
+    if not all(map(math.isfinite, _numbers(msgspec.structs.astuple(message)))):
         raise ValueError("a number is not finite")
     return message
 
@@ -252,12 +252,12 @@ def replaces_earlier(message: PageMessage, control: Any) -> bool:
     return isinstance(message, (CurvesMessage, SeekMessage, _ArrowsMove, _ArrowsEnd, _NodeDrag))
 
 
-def _numbers(message: PageMessage) -> Iterator[float]:
-    for value in msgspec.structs.astuple(message):
-        if isinstance(value, float):
-            yield value
-        elif isinstance(value, tuple):
-            yield from (number for item in value for number in (item if isinstance(item, tuple) else (item,)))
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _numbers(item)
 
 
 def accepted_value(control: Any, value: Any) -> Any:

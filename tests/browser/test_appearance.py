@@ -2,7 +2,7 @@
 
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
 
-TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune")
+TABS = ("Fly", "World", "Why", "Layers", "Tune")
 _FAINT = """
 () => {
   const canvas = document.createElement("canvas").getContext("2d", {willReadFrequently: true});

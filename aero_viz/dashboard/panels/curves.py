@@ -122,6 +122,7 @@ class _Dock:
             self._gui.add_html('<div class="aero-ruler"><div></div></div>', order=1000.0)
             self._fork = self._gui.add_html("", order=1001.0)
         self._charts: list[viser.GuiUplotHandle] = []
+        self._options: list[dict[str, Any]] = []
         self._shown: tuple[Any, ...] = ()
         self._due = 0.0
 
@@ -148,8 +149,10 @@ class _Dock:
         if lanes != self.lanes:
             self._build(lanes, options)
         else:
-            for chart, option in zip(self._charts, options, strict=True):
-                changes += [(chart, name, value) for name, value in option.items()]
+            # An option that is sent again makes the page build the chart anew.
+            for chart, option, before in zip(self._charts, options, self._options, strict=True):
+                changes += [(chart, name, value) for name, value in option.items() if value != before[name]]
+        self._options = options
         for chart, points in zip(self._charts, data, strict=True):
             changes.append((_Data(self._client, chart), "points", points))
         names = "" if ghost is None else f"solid: {'now' if ghost == 'before' else 'B'} · dashed: {ghost}"
@@ -200,10 +203,10 @@ def _bar(signals: list[Signal], lanes: list[Lane], names: str) -> str:
         groups.append(f"<fieldset><legend>{markup.text(axis.title)}</legend>{boxes}</fieldset>")
     return (
         '<div class="aero-curves" role="toolbar" aria-label="Curves">'
-        '<button class="aero-toggle aero-only-wide" data-aero="toggle"><i>▴</i>Curves</button>'
+        '<button class="aero-toggle aero-only-wide" data-aero="toggle"><i aria-hidden="true">▴</i>Curves</button>'
         f'<span class="aero-space aero-open">{markup.muted(names)}</span>'
         '<button class="aero-open aero-whole" data-aero="whole" hidden>Whole flight</button>'
-        '<details class="aero-open"><summary><i>▴</i>Signals</summary>'
+        '<details class="aero-open"><summary><i aria-hidden="true">▴</i>Signals</summary>'
         f'<div class="aero-choice"><div>{"".join(groups)}</div></div></details>'
         '<button class="aero-open" data-aero="csv" title="Save these signals at every tick">CSV</button>'
         '<button class="aero-open" data-aero="png" title="Save a picture of the curves">PNG</button></div>'
