@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from aero_viz.dashboard.tick_table import Rows, TickTable
 from aero_viz.session.comparison import ComparisonEvent
 from aero_viz.session.config_history import DRAG_INTERVAL
 from aero_viz.session.frame import Frame
+
+if TYPE_CHECKING:
+    from aero_viz.logs.comparison import LoggedFlight
 
 COLUMNS = ("time", "speed", "clearance", "plan_ms", "unsafe", "best", "x", "y", "z")
 """First columns of all rows: [s], [m/s], [m], [ms], 1 if no candidate was safe and 0 otherwise, number of the chosen
@@ -51,8 +54,8 @@ class Past:
     outcome: str | None
     """Outcome of the flight; None while it continues."""
     ghost: Rows
-    """Rows of the ghost: the flight of configuration A, or the future that was left when the flight last forked. Empty
-    without either."""
+    """Rows of the ghost: the flight of configuration A, that of a log, or the future that was left when the flight last
+    forked. Empty without one."""
     common: Rows
     """Rows before those of the ghost: the part of the flight that both share."""
     ghost_outcome: str | None
@@ -126,6 +129,19 @@ class FlightHistory:
                 self._ghost.put(row)
                 self._ghost_outcome = event.frame.outcome
 
+    def lay_beside(self, flight: LoggedFlight | None) -> None:
+        """Make the flight of a log the ghost, from the same start on; None removes a ghost."""
+        with self._lock:
+            self._version += 1
+            ghost = TickTable(self._columns)
+            start = float(self._ticks.rows[0, 0]) if len(self._ticks) else 0.0
+            columns = {} if flight is None else flight.columns
+            for values in zip(*columns.values(), strict=True):
+                tick = dict(zip(columns, values, strict=True))
+                ghost.put({**tick, "time": tick["time"] + start})
+            self._set_ghost(ghost, None if flight is None else flight.outcome)
+            self._ghost_name = "before" if flight is None else flight.name
+
     def past(self) -> Past:
         """Return everything so far."""
         with self._lock:
@@ -162,6 +178,7 @@ class FlightHistory:
         self._ticks = TickTable(self._columns)
         self._events: list[Event] = []
         self._set_ghost(None, None)
+        self._ghost_name = "A" if self._ghost_name == "A" else "before"
         self._outcome: str | None = None
         self._last: Frame | None = None
 
@@ -170,11 +187,11 @@ class FlightHistory:
         self._common = self._ghost.rows[:0]
 
     def _fork(self, at: int) -> None:
-        """Continue from an earlier tick. The rows from `at` on become the ghost, unless that is the flight of A."""
+        """Continue from an earlier tick. The rows from `at` on become the ghost, unless that is another flight."""
         common = self._ticks.rows[:at]
         later = self._ticks.split(at)
         time = later.rows[0, 0]
-        if self._ghost_name != "A":
+        if self._ghost_name == "before":
             self._set_ghost(later, self._outcome)
             self._common = common
         self._outcome = None

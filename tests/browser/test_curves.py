@@ -11,6 +11,8 @@ from playwright.sync_api import Browser, Locator
 
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.viser_private import CHARTS
+from aero_viz.logs import flight_recorder
+from aero_viz.session import Session
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
 from tests.browser.pictures import count
 
@@ -177,6 +179,33 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) == 0, "no ghost")
 
 
+def test_a_log_is_laid_beside_the_flight(browser, tmp_path):
+    path = tmp_path / "yesterday.mcap"
+    session = Session(quick_forest())
+    with flight_recorder(str(path)) as log:
+        for _ in range(25):
+            log.write(session.tick())
+    session.close()
+    with open_desk(browser, quick_forest(), ticks=10, resolution=COARSE, layers=["drone"]) as desk:
+        desk.click("Curves")
+        desk.open_tab("Tune")
+        desk.page.get_by_text("A log beside", exact=True).click()
+        desk.enter(desk.control("Log").locator("input"), path)
+        desk.click("Show log")
+        desk.page.get_by_text("dashed: yesterday.mcap").wait_for()
+        desk.wait_for(lambda: len(values(desk, "speed [m/s]")) == 3, "both speeds")
+        times, speed, logged = values(desk, "speed [m/s]")
+        assert times[-1] > 0.4 and speed[-1] is None and logged[-1] is not None
+        desk.session.step(3).result()
+        assert desk.dashboard.history.past().ghost_name == "yesterday.mcap", "it stays while the flight goes on"
+        desk.click("Hide log")
+        desk.wait_for(lambda: len(values(desk, "speed [m/s]")) == 2, "one speed")
+        desk.enter(desk.control("Log").locator("input"), "nowhere.mcap")
+        desk.click("Show log")
+        desk.refusal("There is no file nowhere.mcap").wait_for()
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
 @pytest.mark.parametrize("size", [(1440, 900), (1024, 700), (390, 844)])
 def test_the_dock_is_below_the_scene_and_beside_the_panels(browser, size):
     with open_desk(browser, quick_forest(), ticks=10, size=size, resolution=COARSE, layers=["drone"]) as desk:
@@ -201,7 +230,7 @@ def test_the_dock_is_below_the_scene_and_beside_the_panels(browser, size):
         assert scene["height"] > 0.45 * size[1] and curve["width"] > (0.7 if is_phone else 0.5) * scene["width"]
         assert curve["right"] <= scene["right"] + 1.0 and curve["x"] >= 0.0
         if not is_phone:
-            status = ".mantine-Paper-root:has(.mantine-Paper-root, [role=tab]:has-text('Planner'))"
+            status = ".mantine-Paper-root:has-text('Legend')"
             desk.wait_for(lambda: box(status)["bottom"] <= box(".aero-curves")["y"], "the status above the dock")
         assert desk.console == [] and desk.dashboard.failures == 0
 

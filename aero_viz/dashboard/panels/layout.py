@@ -135,7 +135,7 @@ def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
 def _tune(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
     page, controls = desk.page, desk.controls
     baseline = Baseline.from_config(page.session.config)
-    panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls)]
+    panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls, desk.offer.folders)]
     panels += [SeedsPanel(page, controls, sources) for sources in desk.sources]
     return [*panels, ConfigurationPanel(page, controls, baseline), ParameterPanel(page, controls, baseline, tab)]
 
