@@ -26,6 +26,8 @@ COLUMNS = ("time", "speed", "clearance", "plan_ms", "unsafe", "best", "x", "y", 
 candidate, position [m]. Those of the other signals follow; see `signals.read`."""
 PLACE = slice(COLUMNS.index("x"), COLUMNS.index("z") + 1)
 """Columns of the position."""
+_EVENTS_MAX = 2000
+"""Largest number of events: the newest ones."""
 _SAME = 1e-4
 """Positions that differ by less than this count as equal [m]."""
 
@@ -167,7 +169,7 @@ class FlightHistory:
             self._events = [e for e in self._events if e.kind != "parameters" or e.time not in replaced]
             if text := change_text(before, frame.config):
                 events.insert(0, Event(frame.time, "parameters", text))
-        self._events += events
+        self._events = (self._events + events)[-_EVENTS_MAX:]
 
     def _clear(self) -> None:
         self._configs_before: dict[float, DroneConfig] = {}

@@ -79,7 +79,8 @@ _STYLE = "".join(
         ".aero-copy{float:right;font-size:11px;padding:0 8px;border:1px solid;border-radius:4px;background:none;"
         "color:inherit;cursor:pointer}",
         # Shared controls look disabled to whoever only watches; the buttons of the camera are each visitor's own.
-        ".mantine-ScrollArea-content:has(.aero-watching) :is(.mantine-Button-root,.mantine-Slider-root,input)"
+        ".mantine-ScrollArea-content:has(.aero-watching)"
+        " :is(.mantine-Button-root,.mantine-Slider-root,.mantine-NumberInput-controls,input)"
         "{opacity:.4;cursor:not-allowed}",
         "div:has(>[class^=aero-camera-])+div .mantine-Button-root{opacity:1!important;cursor:pointer!important}",
         # The active one of a group of buttons; an element before the group tells its number.
