@@ -146,12 +146,19 @@ def options(lane: Lane, data: Sequence[Array], ghost_name: str | None) -> dict[s
     }
 
 
-AXES: tuple[Any, ...] = (
-    {"size": 0, "ticks": {"show": False}, "font": "1px sans-serif"},
-    {"size": _AXIS_WIDTH, "space": 22, "gap": 4, "ticks": {"show": False}, "font": "10px system-ui"},
-)
-"""Axes of all lanes. The page writes the times below the last one."""
 CURSOR: Any = {"sync": {"key": "aero-curves"}, "drag": {"x": True, "y": False, "setScale": False}, "y": False}
+
+
+def axes(lane: Lane) -> tuple[Any, ...]:
+    """Return the axes of uPlot for a lane. The page writes the times below the last lane."""
+    grid = {"width": 1, "stroke": palette.css(palette.MUTED, 0.16)}
+    return (
+        {"size": 0, "ticks": {"show": False}, "font": "1px sans-serif", "grid": grid},
+        {
+            "size": _AXIS_WIDTH, "space": 22, "gap": 4, "ticks": {"show": False}, "font": "10px system-ui",
+            "grid": grid | {"show": not lane.axis.is_log},  # whose lines are too many
+        },
+    )  # fmt: skip
 
 
 def _y_scale(axis: Axis, values: Sequence[Array]) -> dict[str, Any]:

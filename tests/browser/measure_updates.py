@@ -49,7 +49,8 @@ def main() -> None:
     if arguments.ticks:
         _fly_before(session, dashboard, arguments.ticks)
     try:
-        with _receivers(dashboard.url, count, arguments) if arguments.remote else _pages(dashboard.url, count, arguments) as pages:
+        opened = _receivers if arguments.remote else _pages
+        with opened(dashboard.url, count, arguments) as pages:
             session.play()
             pages.wait(0.5)
             dashboard.update_ms.clear()
@@ -119,7 +120,8 @@ def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]
 def _receivers(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]:
     """Connect clients that receive what a page receives, in a process of their own."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=_receive, args=(url, count, arguments.curves, there), daemon=True)
+    what = url, count, arguments.curves, there
+    process = multiprocessing.get_context("spawn").Process(target=_receive, args=what, daemon=True)
     process.start()
     assert here.recv() == "loaded"
 

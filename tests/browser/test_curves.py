@@ -4,6 +4,7 @@ import csv
 import dataclasses
 import io
 from collections.abc import Iterator
+from typing import Any
 
 import imageio.v3 as iio
 import pytest
@@ -217,8 +218,7 @@ def test_the_dock_is_below_the_scene_and_beside_the_panels(browser, size):
         lane(desk, "speed [m/s]").locator(".u-over").wait_for()
 
         def box(selector: str) -> dict[str, float]:
-            found = desk.page.locator(selector).first.bounding_box()
-            assert found is not None
+            found: Any = desk.page.locator(selector).first.bounding_box()
             return {**found, "right": found["x"] + found["width"], "bottom": found["y"] + found["height"]}
 
         def is_apart() -> bool:

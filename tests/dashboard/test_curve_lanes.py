@@ -85,7 +85,7 @@ def test_the_first_plan_which_compiles_does_not_flatten_the_curve_of_plan_times(
     data = curve_lanes.points(lane, past, None, 500, gap=GAP)
     low, high = curve_lanes.options(lane, data, None)["scales"]["y"]["range"]
     assert low == 0.0 and 14.0 <= high <= 20.0 and data[1][0] == 6391.0, "the value itself stays"
-    only = curve_lanes.options(lane, (times[:1], np.array([6391.0])), None)["scales"]["y"]["range"]
+    only = curve_lanes.options(lane, (times[:1].astype(np.float64), np.array([6391.0])), None)["scales"]["y"]["range"]
     assert only[1] >= 6391.0
 
 

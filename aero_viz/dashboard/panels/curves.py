@@ -97,7 +97,7 @@ class _Data:
 
     def _send(self, points: Sequence[NDArray[np.float64]]) -> None:
         sent = [
-            np.where(is_known, column, None).tolist() if not (is_known := np.isfinite(column)).all() else column
+            column if np.isfinite(column).all() else [None if np.isnan(value) else value for value in column.tolist()]
             for column in points
         ]
         show(self._client, identifier(self._chart), data=sent)
@@ -168,11 +168,12 @@ class _Dock:
         """Make the charts of other lanes, without points."""
         for chart in self._charts:
             chart.remove()
-        fixed: Any = {"axes": curve_lanes.AXES, "cursor": curve_lanes.CURSOR, "padding": (5, 24, 4, 0)}
+        fixed: Any = {"cursor": curve_lanes.CURSOR, "padding": (5, 24, 4, 0)}
         with self._tab:
             self._charts = [
                 self._gui.add_uplot(
                     tuple(np.zeros((len(option["series"]), 0))),
+                    axes=curve_lanes.axes(lane),
                     height=curve_lanes.height(lane),
                     order=10.0 + row,
                     **fixed,
