@@ -95,18 +95,20 @@ STYLE = "".join(
         f"@media {_PHONE}{{:root{{--aero-left:0rem}}.aero-only-wide{{display:none!important}}"
         f"{_DOCK} .uplot-container{{padding-top:1.5rem!important}}{_DOCK} .u-legend{{width:calc(100% - 1.2rem)}}"
         f"{_DOCK} .u-legend tbody{{display:flex!important;gap:1rem;overflow:hidden}}"
-        f"{_DOCK} .u-legend .u-series{{gap:.3rem}}.aero-choice{{bottom:40vh;right:.5rem;max-height:55vh}}}}",
+        f"{_DOCK} .u-legend .u-series{{gap:.3rem}}.aero-choice{{bottom:40vh;right:.5rem;max-height:55vh}}"
+        ".aero-curves :is(button,summary,label){min-height:40px;align-content:center}}",
     )
 )
 
 SCRIPT = """
 window.aeroCurves?.();
 (() => {
-  const KEY = "aero-curves", DOCK = ".mantine-Paper-root:has(.aero-curves)", root = document.documentElement;
+  const KEY = "aero-curves", root = document.documentElement;
   const over = new AbortController(), options = {signal: over.signal}, known = new WeakSet();
   const phone = matchMedia("(max-width: 36em)");
   const kept = {open: false, signals: null, ...JSON.parse(localStorage.getItem(KEY) ?? "{}")};
   let span = null, told = "", due = 0, lo = 0, hi = 1, now = 0, first = 0, last = 1, shown = "", seen = null, at = null;
+  const find = () => document.querySelector(".aero-curves")?.closest(".mantine-Paper-root");
   const on = (target, name, act, more) => target.addEventListener(name, act, {...options, ...more});
   const keep = () => localStorage.setItem(KEY, JSON.stringify(kept));
   const text = x => x == null || Number.isNaN(x) ? "–"
@@ -166,7 +168,7 @@ window.aeroCurves?.();
     for (const paper of document.querySelectorAll('.mantine-Paper-root[style*="position: absolute"]')) {
       if (paper.querySelector(".aero-curves")) continue;
       const {top, bottom} = paper.getBoundingClientRect(), moved = parseFloat(paper.style.translate.split(" ")[1] ?? 0);
-      const room = document.querySelector(DOCK)?.getBoundingClientRect().top ?? innerHeight;
+      const room = find()?.getBoundingClientRect().top ?? innerHeight;
       const up = phone.matches ? 0 : Math.max(0, Math.min(bottom - moved - (room - 10), top - moved - 5));
       paper.style.translate = `0 ${-up}px`;
     }
@@ -177,13 +179,13 @@ window.aeroCurves?.();
     const rows = times.map((t, i) => `<span style="--t:${t}">${names[i]}</span>`);
     rows.push(`<span class="aero-at" style="--t:${Math.min(Math.max(mark, lo), hi)}">${mark.toFixed(2)} s</span>`);
     const content = rows.join("");
-    if (line && line.innerHTML !== content && line.aeroShown !== content) line.innerHTML = line.aeroShown = content;
+    if (line && line.aeroShown !== content) line.innerHTML = line.aeroShown = content;
   };
   const draw = () => {
     if (over.signal.aborted) return;
     requestAnimationFrame(draw);
     look();
-    const dock = document.querySelector(DOCK), state = dock?.querySelector("#aero-curve-state");
+    const dock = find(), state = dock?.querySelector("#aero-curve-state");
     if (!state) return;
     const isOpen = phone.matches ? state.checkVisibility() : kept.open;
     root.dataset.aeroCurves = kept.open ? "open" : "closed";
@@ -202,6 +204,11 @@ window.aeroCurves?.();
     }
     dock.querySelector(".aero-whole").hidden = !span;
     dock.querySelector(".aero-toggle").ariaExpanded = kept.open;
+    const choice = dock.querySelector(".aero-choice");
+    if (kept.signals && !choice.aeroIsSet) {
+      for (const box of choice.querySelectorAll("input")) box.checked = kept.signals.includes(box.value);
+      choice.aeroIsSet = true;
+    }
     if (!isOpen) return;
     for (const [name, value] of Object.entries({lo, hi, now, differs: state.dataset.differs || first - 1e6})) {
       if (dock.style.getPropertyValue(`--${name}`) !== `${value}`) dock.style.setProperty(`--${name}`, value);
@@ -219,8 +226,9 @@ window.aeroCurves?.();
     ruler(dock, lanes[0]);
   };
   const picture = () => {
-    const dock = document.querySelector(DOCK), box = dock.getBoundingClientRect(), scale = devicePixelRatio;
-    const lanes = charts(dock), left = 160, paper = document.createElement("canvas");
+    const dock = find(), lanes = charts(dock), scale = devicePixelRatio, left = 160;
+    if (!lanes.length) return;
+    const paper = document.createElement("canvas");
     const size = lanes.map(chart => [chart.root.querySelector("canvas"), chart.height + 8]);
     paper.width = (left + lanes[0].width) * scale;
     paper.height = (size.reduce((sum, [, height]) => sum + height, 0) + 30) * scale;

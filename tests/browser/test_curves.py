@@ -120,9 +120,10 @@ def test_a_visitor_chooses_signals_which_the_browser_remembers_with_the_open_doc
     desk.page.locator("summary", has_text="Signals").click()
     desk.page.get_by_label("omega_y", exact=True).check()
     desk.page.get_by_label("with clearance", exact=True).check()
-    desk.page.get_by_label("effective", exact=True).or_(desk.page.get_by_label("of the choice")).first.uncheck()
+    desk.page.get_by_label("of the choice", exact=True).uncheck()
     desk.wait_for(lambda: {"control [rad/s]", "candidates"} <= set(lanes(desk)), "more lanes")
     desk.wait_for(lambda: "effective samples" not in lanes(desk), "one lane less")
+    assert desk.page.get_by_label("omega_y", exact=True).is_visible(), "the list stays open"
     desk.wait_for(lambda: len(values(desk, "control [rad/s]")[0]) > TICKS - 1, "its points")
     chosen = lanes(desk)
     with visit(browser, desk.dashboard.url, resolution=COARSE) as other:
@@ -137,6 +138,8 @@ def test_a_visitor_chooses_signals_which_the_browser_remembers_with_the_open_doc
     desk.page.reload()
     desk.wait_for(lambda: before.isdisjoint(desk.dashboard.server.get_clients()), "the page to connect again")
     desk.wait_for(lambda: lanes(desk) == chosen, "the same lanes again")
+    desk.page.locator("summary", has_text="Signals").click()
+    assert desk.page.get_by_label("omega_y", exact=True).is_checked()
     desk.page.evaluate("localStorage.removeItem('aero-curves')")
     desk.page.reload()
     desk.page.get_by_role("button", name="Curves").wait_for()

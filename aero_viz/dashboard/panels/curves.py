@@ -116,7 +116,7 @@ class _Dock:
         self._client, self._gui = client, client.gui
         self._tab = self._gui.add_panel().add_tab("Curves", viser.Icon.CHART_LINE)
         with self._tab:
-            self._bar = self._gui.add_html(_bar([], [], ""), order=0.0)
+            self._bar = self._gui.add_html(_bar([], ""), order=0.0)
             self._state = self._gui.add_html(_state(None, 0.0), order=1.0)
             self._events = self._gui.add_html("", order=2.0)
             self._gui.add_html('<div class="aero-ruler"><div></div></div>', order=1000.0)
@@ -157,7 +157,7 @@ class _Dock:
             changes.append((_Data(self._client, chart), "points", points))
         names = "" if ghost is None else f"solid: {'now' if ghost == 'before' else 'B'} · dashed: {ghost}"
         changes += [
-            (self._bar, "content", _bar(signals, lanes, names)),
+            (self._bar, "content", _bar(signals, names)),
             (self._events, "content", _event_lanes(past)),
             (self._fork, "content", fork_table(past)),
         ]
@@ -190,14 +190,14 @@ def _labelled(one: Signal, frame: Frame) -> Signal:
     return one._replace(label="to the cloud") if is_from_cloud else one
 
 
-def _bar(signals: list[Signal], lanes: list[Lane], names: str) -> str:
-    """Return the bar with the buttons."""
-    shown = {signal.name for lane in lanes for signal in lane.signals}
+def _bar(signals: list[Signal], names: str) -> str:
+    """Return the bar with the buttons, where the signals that are shown at first are chosen."""
+    first = {signal.name for lane in curve_lanes.chosen(signals, None) for signal in lane.signals}
     groups = []
     for axis in dict.fromkeys(signal.axis for signal in signals):
         boxes = "".join(
             f'<label><input type="checkbox" value="{markup.text(signal.name)}"'
-            f"{' checked' if signal.name in shown else ''}>{markup.text(signal.label)}</label>"
+            f"{' checked' if signal.name in first else ''}>{markup.text(signal.label)}</label>"
             for signal in signals
             if signal.axis == axis
         )
@@ -220,9 +220,9 @@ def _state(past: Past | None, now: float) -> str:
         return '<i id="aero-curve-state" data-first="0" data-last="1" data-now="0"></i>'
     first = min(past.rows[0, 0], now)
     last = max(past.rows[-1, 0], now, *past.ghost[-1:, 0])
-    differs = "" if past.differs_at is None else f"{past.differs_at:.6g}"
+    differs = "" if past.differs_at is None else f"{past.differs_at:.9g}"
     return (
-        f'<i id="aero-curve-state" data-first="{first:.6g}" data-last="{last:.6g}" data-now="{now:.6g}" '
+        f'<i id="aero-curve-state" data-first="{first:.9g}" data-last="{last:.9g}" data-now="{now:.9g}" '
         f'data-differs="{differs}"></i>'
     )
 
@@ -240,8 +240,8 @@ def _event_lanes(past: Past) -> str:
         ends = [following[0].time for following in marks[1:]] + [past.rows[-1, 0] + 1e4]
         buttons = "".join(
             f'<button class="aero-event{" aero-span" if end is not None else ""}" data-aero="seek" '
-            f'data-time="{event.time:.6g}" title="{event.time:.2f} s: {markup.text(event.text)}" '
-            f'style="--t:{event.time:.6g};--n:{next_time if end is None else end:.6g};'
+            f'data-time="{event.time:.9g}" title="{event.time:.2f} s: {markup.text(event.text)}" '
+            f'style="--t:{event.time:.9g};--n:{next_time if end is None else end:.9g};'
             f'--c:{css(_EVENT_COLORS.get(event.kind, palette.WARNING))}">'
             f"<span>{markup.text(event.text)}</span></button>"
             for (event, end), next_time in zip(marks, ends, strict=True)
