@@ -108,6 +108,7 @@ window.aeroCurves?.();
   const phone = matchMedia("(max-width: 36em)");
   const kept = {open: false, signals: null, ...JSON.parse(localStorage.getItem(KEY) ?? "{}")};
   let span = null, told = "", due = 0, lo = 0, hi = 1, now = 0, first = 0, last = 1, shown = "", seen = null, at = null;
+  let isChoosing = false;
   const find = () => document.querySelector(".aero-curves")?.closest(".mantine-Paper-root");
   const on = (target, name, act, more) => target.addEventListener(name, act, {...options, ...more});
   const keep = () => localStorage.setItem(KEY, JSON.stringify(kept));
@@ -205,8 +206,10 @@ window.aeroCurves?.();
     dock.querySelector(".aero-whole").hidden = !span;
     dock.querySelector(".aero-toggle").ariaExpanded = kept.open;
     const choice = dock.querySelector(".aero-choice");
-    if (kept.signals && !choice.aeroIsSet) {
-      for (const box of choice.querySelectorAll("input")) box.checked = kept.signals.includes(box.value);
+    if (!choice.aeroIsSet) {  // the page makes the bar anew whenever a lane comes or goes
+      const boxes = kept.signals ? choice.querySelectorAll("input") : [];
+      for (const box of boxes) box.checked = kept.signals.includes(box.value);
+      choice.parentElement.open = isChoosing;
       choice.aeroIsSet = true;
     }
     if (!isOpen) return;
@@ -271,6 +274,9 @@ window.aeroCurves?.();
     };
     actions[button.dataset.aero]?.();
   });
+  on(document, "toggle", ({target}) => {
+    if (target.matches(".aero-curves details")) isChoosing = target.open;
+  }, {capture: true});
   on(document, "change", ({target}) => {
     if (!target.closest?.(".aero-choice")) return;
     kept.signals = [...target.closest(".aero-choice").querySelectorAll("input:checked")].map(box => box.value);
