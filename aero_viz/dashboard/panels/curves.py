@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -76,10 +77,11 @@ class CurvePanel(Panel):
             self.page.refresh()
 
     def _save(self, client: viser.ClientHandle, _: CurvesSaveMessage) -> None:
-        if (dock := self._docks.get(client.client_id)) is not None:
-            names = [signal.name for lane in dock.lanes for signal in lane.signals]
-            content = curve_lanes.table(self.page.history.past(), names)
-            client.send_file_download("flight.csv", content.encode(), save_immediately=True)
+        dock = self._docks.get(client.client_id)
+        if dock is not None and dock.saving.acquire(blocking=False):  # a long flight takes half a second
+            threading.Thread(
+                target=dock.save, args=(self.page.history.past(),), name="aero-viz-csv", daemon=True
+            ).start()
 
     def update(self, frame: Frame) -> list[Change]:
         docks = [dock for dock in list(self._docks.values()) if dock.view.is_open]
@@ -113,6 +115,8 @@ class _Dock:
         """What the visitor looks at."""
         self.lanes: list[Lane] = []
         """The lanes that are shown."""
+        self.saving = threading.Lock()
+        """Held from a request for the curves as a file until it is sent."""
         self._client, self._gui = client, client.gui
         self._tab = self._gui.add_panel().add_tab("Curves", viser.Icon.CHART_LINE)
         with self._tab:
@@ -129,6 +133,15 @@ class _Dock:
     def look(self, view: CurvesMessage) -> None:
         """Show something else from the next update on."""
         self.view, self._due = view, 0.0
+
+    def save(self, past: Past) -> None:
+        """Send the signals that are shown as CSV."""
+        try:
+            names = [signal.name for lane in self.lanes for signal in lane.signals]
+            content = curve_lanes.table(past, names).encode()
+            self._client.send_file_download("flight.csv", content, save_immediately=True)
+        finally:
+            self.saving.release()
 
     def update(self, past: Past, frame: Frame, *, is_playing: bool) -> list[Change]:
         """Return the changes that show a flight with the cursor at a frame."""
