@@ -116,7 +116,7 @@ def test_what_was_brought_is_used_like_what_ships(installed: dict[str, str], tmp
 def test_a_page_has_the_layers_and_panels_that_were_brought(installed: dict[str, str]):
     text, error = python(installed, "-c", PAGE)
     words = text.split()
-    assert {"nothing", "rollouts", "Note", "ChartPanel"} <= set(words) and words[-1] == "True"
+    assert {"nothing", "rollouts", "Note", "CurvePanel"} <= set(words) and words[-1] == "True"
     assert not {"something", "raising", "Raising"} & set(words)
     for part in ("layer", "panel"):
         assert f"The {part} raising is left out: KeyError: 'torn apart'" in error

@@ -8,7 +8,7 @@ import logging
 import socket
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from typing import Any
 
@@ -78,6 +78,7 @@ class PageConnection(GuestConnection):
         page: server of the page.
         visitors: visitors of the page.
         number_fields: the fields that they type in.
+        answers: what to do with messages that viser does not know, by their type.
         upload_limit: size of the largest file that a client may upload [bytes]. One upload runs at a time.
         catch_up: returns a future that is done when the session has run all commands of the page.
         options: those of `GuestConnection`.
@@ -89,6 +90,7 @@ class PageConnection(GuestConnection):
         page: viser.ViserServer,
         visitors: Visitors,
         number_fields: NumberFields,
+        answers: Mapping[type[PageMessage], Callable[[viser.ClientHandle, Any], object]],
         upload_limit: int,
         catch_up: Callable[[], Future[Any]],
         **options: Any,
@@ -99,6 +101,7 @@ class PageConnection(GuestConnection):
         self._page = page
         self._visitors = visitors
         self._number_fields = number_fields
+        self._answers = answers
         self._reminder_due = 0.0
         self._upload_limit = upload_limit
         self._upload: UploadStart | None = None
@@ -202,6 +205,10 @@ class PageConnection(GuestConnection):
             return self._clamped(message, data, gui)
         if isinstance(message, NumberMessage):
             return self._typed(message, gui)
+        if (answer := self._answers.get(type(message))) is not None:
+            if client is not None:
+                answer(client, message)
+            return None
         if isinstance(message, FormMessage):
             if message.uuid not in viser_private.containers(gui):
                 raise ValueError("there is no such form")

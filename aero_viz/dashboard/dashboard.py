@@ -59,7 +59,7 @@ class Dashboard:
         folders: folders whose files the page may open, besides `choices`.
         allowed_hosts: names under which browsers reach the page besides `host`, such as that of a proxy.
         embedders: origins of foreign pages that may show the page in a frame, such as that of a notebook.
-        history: keeps what the curves show; None keeps every tick of the session.
+        history: keeps what the curves show; None keeps the ticks of the session, the newest 30 000.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
         server: web server to use; None starts one with `host`, `port` and `allowed_hosts`, which are ignored otherwise.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from aero_planner import Plan, PlannerConfig
 from aero_planner.config import DroneConfig
 from aero_viz.dashboard.advice import Advice
-from aero_viz.dashboard.history import effective_samples
+from aero_viz.dashboard.signals import effective_samples
 from aero_viz.planners.plan import ensemble
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe

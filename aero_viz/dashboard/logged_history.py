@@ -6,7 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from aero_viz.dashboard.history import COLUMNS, FlightHistory, Past, Rows
+from aero_viz.dashboard.history import COLUMNS, FlightHistory, Past
+from aero_viz.dashboard.tick_table import Rows
 from aero_viz.logs.comparison import LogComparison, LoggedFlight
 from aero_viz.session.frame import Frame
 
@@ -22,10 +23,12 @@ class LoggedHistory(FlightHistory):
     def __init__(self, logs: LogComparison, *, start: float) -> None:
         super().__init__()
         differs_at = logs.differs_at
+        names = (*COLUMNS, *sorted({*logs.a.columns, *logs.b.columns} - {*COLUMNS}))
         self._logged = {
-            "rows": _rows(logs.b, start),
+            "columns": {name: place for place, name in enumerate(names)},
+            "rows": _rows(logs.b, names, start),
             "outcome": logs.b.outcome,
-            "ghost": _rows(logs.a, start),
+            "ghost": _rows(logs.a, names, start),
             "ghost_outcome": logs.a.outcome,
             "ghost_name": logs.a.name if logs.a.name != logs.b.name else "first log",
             "differs_at": None if differs_at is None else differs_at + start,
@@ -39,8 +42,8 @@ class LoggedHistory(FlightHistory):
         return dataclasses.replace(super().past(), **self._logged)
 
 
-def _rows(flight: LoggedFlight, start: float) -> Rows:
+def _rows(flight: LoggedFlight, names: tuple[str, ...], start: float) -> Rows:
     ticks = len(flight.columns["time"])
-    rows = np.stack([flight.columns.get(name, np.full(ticks, np.nan)) for name in COLUMNS], axis=1)
+    rows = np.stack([flight.columns.get(name, np.full(ticks, np.nan)) for name in names], axis=1)
     rows[:, 0] += start
     return rows

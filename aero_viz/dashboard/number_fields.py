@@ -26,22 +26,14 @@ if (!window.aeroNumbers) {
   window.aeroNumbers = true;
   const FIELD = ".mantine-NumberInput-input", STEPS = ".mantine-NumberInput-controls, .mantine-Slider-root";
   const quiet = new Set();  // controls of which a number was typed last
-  let worker = null, edit = null;
-  const post = Worker.prototype.postMessage;
-  Worker.prototype.postMessage = function (data, ...rest) {
-    if (data?.type === "send") {
-      worker = this;
-      if (data.message.type === "GuiUpdateMessage" && quiet.has(data.message.uuid)) return;
-    }
-    return post.call(this, data, ...rest);
-  };
+  let edit = null;
+  aeroKeepsBack = message => message.type === "GuiUpdateMessage" && quiet.has(message.uuid);
   const isField = target => target instanceof HTMLInputElement && target.matches(FIELD);
   const row = part => part.closest(".mantine-Flex-root");
   const fields = part => [...row(part).querySelectorAll(FIELD)];
   const control = part => (row(part).querySelector(".mantine-Slider-root") ?? fields(part)[0]).id;
   const tell = (text, isOver) => {
-    const message = {type: "AeroNumberMessage", uuid: edit.uuid, index: edit.index, text, is_over: isOver};
-    post.call(worker, {type: "send", message});
+    aeroSend({type: "AeroNumberMessage", uuid: edit.uuid, index: edit.index, text, is_over: isOver});
     clearTimeout(edit.timer);
     if (isOver) clearInterval(edit.watch);
     else edit.timer = setTimeout(end, edit.isTyped ? TYPING_MAX : FOCUS_MAX, true);
@@ -64,7 +56,7 @@ if (!window.aeroNumbers) {
     if (edit.isTyped && edit.field.value !== edit.shown) show(edit.field, edit.shown);
   };
   const begin = target => {
-    if (!worker || !isField(target) || edit?.field === target) return;
+    if (!isField(target) || edit?.field === target) return;
     if (edit) end(true);
     const index = fields(target).indexOf(target);
     edit = {field: target, uuid: control(target), index, refused: null, typed: "", shown: target.value};
@@ -109,7 +101,7 @@ if (!window.aeroNumbers) {
   addEventListener("focusout", ({target}) => { if (edit?.field === target) end(true); }, true);
 }
 """.replace("TYPING_MAX", f"{1e3 * _TYPING_MAX:.0f}").replace("FOCUS_MAX", f"{1e3 * _FOCUS_MAX:.0f}")
-"""Script that tells the server what is typed into a number field, and when that is over.
+"""Script that tells the server what is typed into a number field, and when that is over. It needs `SENDER`.
 
 viser's page reports each key, at most one report per 50 ms, of which another control's may take the place. Of a field
 that is typed in, the script keeps these reports to itself, and sends the text when it counts. It counts on Enter, when

@@ -58,6 +58,28 @@ class NumberMessage(PageMessage, tag="AeroNumberMessage"):
     is_over: bool
 
 
+class CurvesMessage(PageMessage, tag="AeroCurvesMessage"):
+    """What a visitor looks at in the curves, from the script in `curve_script.py`."""
+
+    is_open: bool
+    signals: Annotated[tuple[Name, ...], msgspec.Meta(max_length=200)] | None
+    """Names of the signals; None are those shown at first."""
+    span: Pair | None
+    """Times that are looked at [s]; None is the whole flight."""
+    width: Annotated[int, msgspec.Meta(ge=0, le=10_000)]
+    """Width of the curves [pixels]."""
+
+
+class CurvesSaveMessage(PageMessage, tag="AeroCurvesSaveMessage"):
+    """A request for the curves as a file."""
+
+
+class SeekMessage(PageMessage, tag="AeroSeekMessage"):
+    """A click on the curves: go to a time [s]."""
+
+    time: float
+
+
 class FormMessage(PageMessage, tag="GuiFormDirtyMessage"):
     """A change in a form, which the server tells all other pages."""
 
@@ -160,9 +182,9 @@ class _Pointer(PageMessage, tag="ScenePointerMessage"):
 
 
 MESSAGES: Any = (
-    CameraMessage | ValueMessage | NumberMessage | FormMessage | _FormSubmit | _Command | _ButtonHold | UploadStart
-    | UploadPart | _Rendering | _StoredItem | _ShareRequest | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick
-    | _NodeDrag | _Pointer
+    CameraMessage | ValueMessage | NumberMessage | CurvesMessage | CurvesSaveMessage | SeekMessage | FormMessage
+    | _FormSubmit | _Command | _ButtonHold | UploadStart | UploadPart | _Rendering | _StoredItem | _ShareRequest
+    | _ArrowsMove | _ArrowsStart | _ArrowsEnd | _NodeClick | _NodeDrag | _Pointer
 )  # fmt: skip
 _decoder = msgspec.msgpack.Decoder(MESSAGES)
 
@@ -182,14 +204,14 @@ def decode(data: bytes) -> PageMessage:
         message: PageMessage = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError, UnicodeDecodeError) as error:
         raise ValueError(str(error)) from error
-    if not all(map(math.isfinite, _numbers(message))):
+    if not all(map(math.isfinite, _numbers(msgspec.structs.astuple(message)))):
         raise ValueError("a number is not finite")
     return message
 
 
 def is_own(message: PageMessage, client: viser.ClientHandle | None) -> bool:
     """Return True if a message concerns its sender alone: the camera, an answer, or what only this client sees."""
-    if isinstance(message, (CameraMessage, _Rendering, _StoredItem)):
+    if isinstance(message, (CameraMessage, CurvesMessage, CurvesSaveMessage, _Rendering, _StoredItem)):
         return True
     if client is None:
         return False
@@ -227,15 +249,15 @@ def replaces_earlier(message: PageMessage, control: Any) -> bool:
     """
     if isinstance(message, ValueMessage):
         return control is not None and not isinstance(control, (viser.GuiButtonHandle, viser.GuiButtonGroupHandle))
-    return isinstance(message, (_ArrowsMove, _ArrowsEnd, _NodeDrag))
+    return isinstance(message, (CurvesMessage, SeekMessage, _ArrowsMove, _ArrowsEnd, _NodeDrag))
 
 
-def _numbers(message: PageMessage) -> Iterator[float]:
-    for value in msgspec.structs.astuple(message):
-        if isinstance(value, float):
-            yield value
-        elif isinstance(value, tuple):
-            yield from (number for item in value for number in (item if isinstance(item, tuple) else (item,)))
+def _numbers(value: Any) -> Iterator[float]:
+    if isinstance(value, float):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _numbers(item)
 
 
 def accepted_value(control: Any, value: Any) -> Any:

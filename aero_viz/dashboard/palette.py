@@ -64,6 +64,11 @@ WARNING: Rgb = (250, 176, 5)
 BAD: Rgb = (255, 82, 82)
 MUTED: Rgb = (134, 146, 164)
 
+CURVES: tuple[Rgb, ...] = (
+    (72, 149, 246), (240, 141, 49), (44, 184, 116), (172, 118, 232), (236, 84, 92), (22, 176, 190), (196, 160, 40)
+)  # fmt: skip
+"""Colours of curves, which can be seen on dark and on light panels."""
+
 OUTCOMES: dict[str, Rgb] = {"arrived": GOOD, "collision": BAD, "end": MUTED}
 """Colours of the outcomes of flights; the others have that of a warning."""
 

@@ -22,6 +22,7 @@ from websockets.asyncio.server import ServerConnection
 from aero_viz.dashboard import palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
+from aero_viz.dashboard.page_messages import PageMessage
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
@@ -43,8 +44,7 @@ _STYLE = "".join(
         *(f"--mantine-color-dark-{shade}:{palette.css(color)};" for shade, color in palette.PANEL.items()),
         "--mantine-color-body:var(--mantine-color-dark-7)!important}",
         # Colours of curves are chosen for a dark ground.
-        ':root[data-mantine-color-scheme="light"] :is(.aero-curve,.aero-plot)'
-        f"{{background:{palette.css(palette.PANEL[6])}!important}}",
+        f':root[data-mantine-color-scheme="light"] .aero-plot{{background:{palette.css(palette.PANEL[6])}!important}}',
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # Everything below the playback controls scrolls separately, so that these stay in view.
@@ -79,7 +79,8 @@ _STYLE = "".join(
         ".aero-copy{float:right;font-size:11px;padding:0 8px;border:1px solid;border-radius:4px;background:none;"
         "color:inherit;cursor:pointer}",
         # Shared controls look disabled to whoever only watches; the buttons of the camera are each visitor's own.
-        ".mantine-ScrollArea-content:has(.aero-watching) :is(.mantine-Button-root,.mantine-Slider-root,input)"
+        ".mantine-ScrollArea-content:has(.aero-watching)"
+        " :is(.mantine-Button-root,.mantine-Slider-root,.mantine-NumberInput-controls,input)"
         "{opacity:.4;cursor:not-allowed}",
         "div:has(>[class^=aero-camera-])+div .mantine-Button-root{opacity:1!important;cursor:pointer!important}",
         # The active one of a group of buttons; an element before the group tells its number.
@@ -137,6 +138,8 @@ class LocalServer(viser.ViserServer):
         """Visitors of the page."""
         self.number_fields = NumberFields()
         """The fields that they type in."""
+        self.answers: dict[type[PageMessage], Callable[[viser.ClientHandle, Any], object]] = {}
+        """What to do with messages of the page that viser does not know, by their type."""
         self._tokens: Tokens | None = None
         """Links that are required; None if only this machine can reach the page."""
         self._is_open = threading.Event()
@@ -150,6 +153,7 @@ class LocalServer(viser.ViserServer):
                 page=self,
                 visitors=self.visitors,
                 number_fields=self.number_fields,
+                answers=self.answers,
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
@@ -266,6 +270,7 @@ class LocalServer(viser.ViserServer):
             super().stop()
 
     def _style(self) -> None:
+        viser_private.run_script(self, viser_private.SENDER)
         self.gui.add_html(f"<style>{_STYLE}</style>")
         configure_theme(self.gui)
         scene = self.scene

@@ -77,6 +77,27 @@ def run_script(target: viser.ClientHandle | viser.ViserServer, source: str) -> N
     sender.queue_message(_messages.RunJavascriptMessage(source))
 
 
+SENDER = """
+if (!window.aeroSend) {
+  const post = Worker.prototype.postMessage, waiting = [];
+  let worker = null;
+  window.aeroKeepsBack = () => false;
+  window.aeroSend = message => worker ? post.call(worker, {type: "send", message}) : waiting.push(message);
+  Worker.prototype.postMessage = function (data, ...rest) {
+    if (data?.type === "send") {
+      worker = this;
+      waiting.splice(0).forEach(aeroSend);
+      if (aeroKeepsBack(data.message)) return;
+    }
+    return post.call(this, data, ...rest);
+  };
+}
+"""
+"""Script that lets others send messages to the server, with `aeroSend`, and keep back those of the page."""
+CHARTS = "Object.values(window.__viserTestpoints?.uplots ?? {}).map(({chart}) => chart)"
+"""Expression of JavaScript: the charts of uPlot on the page, which viser shows its own tests."""
+
+
 def show(client: viser.ClientHandle, identifier: str, **properties: Any) -> None:
     """Make one client's page show other properties of a shared control, such as its value."""
     client._websock_connection.queue_message(_messages.GuiUpdateMessage(identifier, properties))

@@ -5,6 +5,7 @@ time per tick and per update.
 """
 
 import argparse
+import dataclasses
 import functools
 import multiprocessing
 import threading
@@ -35,6 +36,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=4.0)
     parser.add_argument("--size", type=int, nargs=2, default=(1600, 1000), metavar=("WIDTH", "HEIGHT"))
     parser.add_argument("--onlookers", type=int, default=0, help="further pages, each in a tab of its own")
+    parser.add_argument("--curves", action="store_true", help="open the curves on every page")
+    parser.add_argument("--ticks", type=int, default=0, help="ticks that the curves show already")
     parser.add_argument(
         "--remote", action="store_true", help="draw nothing, as if the browsers ran on other machines: only receive"
     )
@@ -43,8 +46,11 @@ def main() -> None:
     session.start(play=False)
     dashboard = Dashboard(session, port=0)
     count = 1 + arguments.onlookers
+    if arguments.ticks:
+        _fly_before(session, dashboard, arguments.ticks)
     try:
-        with _receivers(dashboard.url, count) if arguments.remote else _pages(dashboard.url, count, arguments) as pages:
+        opened = _receivers if arguments.remote else _pages
+        with opened(dashboard.url, count, arguments) as pages:
             session.play()
             pages.wait(0.5)
             dashboard.update_ms.clear()
@@ -74,6 +80,15 @@ def main() -> None:
     print(f"others             {others / took:6.2f} cores of {psutil.cpu_count()}")
 
 
+def _fly_before(session: Session, dashboard: Dashboard, ticks: int) -> None:
+    """Put ticks before the present one into the history."""
+    session.step(1).result()
+    frame = session.frame
+    assert frame is not None
+    for tick in range(ticks):
+        dashboard.history.add(dataclasses.replace(frame, time=frame.time - 0.02 * (ticks - tick)))
+
+
 @contextmanager
 def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]:
     """Open pages in a Chromium."""
@@ -85,6 +100,8 @@ def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]
             note = functools.partial(lambda own, message: own.append(len(message)), own)
             page.on("websocket", lambda socket, note=note: socket.on("framereceived", note))
             page.goto(url)
+        for page in pages if arguments.curves else []:
+            page.get_by_role("button", name="Curves").click()
         _wait_until_loaded(sizes, lambda seconds: pages[0].wait_for_timeout(1e3 * seconds))
         pages[0].evaluate("() => { window.n = 0; const f = () => { window.n++; requestAnimationFrame(f); }; f(); }")
 
@@ -100,10 +117,11 @@ def _pages(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]
 
 
 @contextmanager
-def _receivers(url: str, count: int) -> Iterator[Any]:
+def _receivers(url: str, count: int, arguments: argparse.Namespace) -> Iterator[Any]:
     """Connect clients that receive what a page receives, in a process of their own."""
     here, there = multiprocessing.Pipe()
-    process = multiprocessing.get_context("spawn").Process(target=_receive, args=(url, count, there), daemon=True)
+    what = url, count, arguments.curves, there
+    process = multiprocessing.get_context("spawn").Process(target=_receive, args=what, daemon=True)
     process.start()
     assert here.recv() == "loaded"
 
@@ -118,7 +136,7 @@ def _receivers(url: str, count: int) -> Iterator[Any]:
     process.join()
 
 
-def _receive(url: str, count: int, parent: Connection) -> None:
+def _receive(url: str, count: int, curves: bool, parent: Connection) -> None:
     server: Any = SimpleNamespace(url=url)
     sizes: list[list[int]] = [[] for _ in range(count)]
 
@@ -129,6 +147,8 @@ def _receive(url: str, count: int, parent: Connection) -> None:
     for own in sizes:
         client = join(server)
         send(client, **CAMERA)
+        if curves:
+            send(client, type="AeroCurvesMessage", is_open=True, signals=None, span=None, width=1000)
         threading.Thread(target=read, args=(client, own), daemon=True).start()
     _wait_until_loaded(sizes, time.sleep)
     parent.send("loaded")

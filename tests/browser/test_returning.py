@@ -39,6 +39,8 @@ def test_shared_controls_look_disabled_to_whoever_watches_and_own_ones_do_not(fr
         play = other.get_by_role("button", name="Play", exact=True)
         desk.wait_for(lambda: play.evaluate(opacity) == "0.4", "shared controls to look disabled")
         assert desk.page.get_by_role("button", name="Play", exact=True).evaluate(opacity) == "1"
+        for kind in ("Slider-root", "NumberInput-controls", "NumberInput-input"):
+            assert other.locator(f".mantine-{kind}").first.evaluate(opacity) == "0.4", kind
         for name in ("Take control", "top"):
             assert other.get_by_role("button", name=name, exact=True).evaluate(opacity) == "1"
         other.get_by_role("tab", name="Layers").click()

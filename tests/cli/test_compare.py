@@ -95,7 +95,8 @@ def test_ticks_without_a_safe_candidate_are_those_of_the_planner(tmp_path, capsy
 def test_the_page_shows_both_logs_in_one_time_base(logs):
     (fast, slow), (a, b) = logs
     past = LoggedHistory(compare_logs(fast, slow), start=0.25).past()
-    assert past.rows.shape[1] == past.ghost.shape[1] == len(COLUMNS)
+    assert past.rows.shape[1] == past.ghost.shape[1] == len(past.columns)
+    assert {*COLUMNS, "cost", "goal_cost", "clear"} <= past.columns.keys()
     assert past.rows[-1, 0] == pytest.approx(b.time + 0.25) and past.ghost[-1, 0] == pytest.approx(a.time + 0.25)
     assert (past.ghost_name, past.outcome, past.ghost_outcome) == ("fast.mcap", b.outcome, a.outcome)
     assert past.differs_at is not None and past.differs_at > 0.25

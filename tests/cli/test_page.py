@@ -50,7 +50,8 @@ def test_two_logs_are_compared_in_the_terminal_and_on_one_page(
         printed += line
     assert "vehicle.speed_limit" in printed and f"{b} with the ghost of {a}" in line
     with visit(browser, line.split(" at ")[-1].split()[0], resolution=COARSE) as page:
-        page.get_by_role("tab", name="Curves").click()
-        page.locator(".aero-ghost").first.wait_for(state="attached")
-        page.locator(".aero-differs").first.wait_for(state="attached")
+        page.get_by_role("button", name="Curves").click()
+        page.get_by_text("dashed: a.mcap").wait_for()
+        differs = "Number(document.querySelector('#aero-curve-state').dataset.differs) > 0"
+        page.wait_for_function(differs)
     interrupt(process)

@@ -15,7 +15,6 @@ from aero_planner import PlannerConfig, PlanStatus
 from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.cost_text import cost_text
 from aero_viz.dashboard import Dashboard
-from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.status import StatusPanel
 from aero_viz.dashboard.panels.why_card import card, chart
 from aero_viz.explain.evidence import Evidence, Replanner
@@ -239,20 +238,28 @@ def check_figures(page: Dashboard, frame: Frame, truth: dict[str, float]) -> Non
 
 def check_curves(page: Dashboard, frame: Frame, truth: dict[str, float]) -> None:
     page.history.add(frame)
-    shown = unescape(re.sub("<[^>]*>", " ", content_of(page, ChartPanel, frame)))
     plan, best = plan_of(frame), int(frame.plan.best)
     weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / frame.config.sampling.temperature)
+    thrust, *rates = plan.controls[best, 0]
     expected = {
-        r"speed \[m/s\]": (truth["speed"], 0.006),
-        r"true clearance \[m\]": (truth["clearance"], 0.006),
-        r"plan \[ms\]": (plan.stage_ms["total"], 0.06),
-        "safe": (np.count_nonzero(frame.is_safe), 0.0),  # type: ignore[arg-type]
-        "effective samples": (weights.sum() ** 2 / (weights**2).sum(), 0.06),
-        "all": (plan.stage2_cost[best], 0.6),
+        "speed": truth["speed"],
+        "clearance": truth["clearance"],
+        "plan_clearance": plan.clearance[best].min(),
+        "z": truth["z"],
+        "goal_distance": truth["goal"],
+        "plan_ms": plan.stage_ms["total"],
+        "safe": np.count_nonzero(frame.is_safe),  # type: ignore[arg-type]
+        "samples": weights.sum() ** 2 / (weights**2).sum(),
+        "cost": plan.stage2_cost[best],
+        "goal_cost": plan.goal_cost[best],
+        "collision_cost": plan.collision_cost[best],
+        "F_t": thrust,
+        **dict(zip(("omega_x", "omega_y", "omega_z"), rates, strict=True)),
     }
-    for label, (value, tolerance) in expected.items():
-        found = re.findall(rf"{label}\s+(?:≥ )?([\d.]+)", shown)
-        assert found and float(found[0]) == pytest.approx(value, abs=tolerance), (label, found)
+    past = page.history.past()
+    at = int(np.flatnonzero(past.rows[:, 0] == frame.time)[0])
+    for name, value in expected.items():
+        assert past.column(name)[at] == pytest.approx(float(value), rel=1e-5, abs=1e-6), name
 
 
 def check_report(trace: FlightTrace, evidence: Evidence, truth: dict[str, float]) -> None:

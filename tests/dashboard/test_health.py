@@ -15,8 +15,8 @@ from aero_planner.config import DroneConfig
 from aero_viz.catalog import open_source
 from aero_viz.dashboard import Dashboard
 from aero_viz.dashboard.health import readings
-from aero_viz.dashboard.history import effective_samples
 from aero_viz.dashboard.panels.health import HealthPanel
+from aero_viz.dashboard.signals import effective_samples
 from aero_viz.planners import CandidatePlan, load
 from aero_viz.planners.single_mppi import SingleMppiConfig
 from aero_viz.session import Frame, Session

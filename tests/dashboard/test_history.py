@@ -1,8 +1,6 @@
 """Rows, events and forks of a flight's history."""
 
-import csv
 import dataclasses
-import io
 import re
 
 import numpy as np
@@ -10,8 +8,9 @@ import pytest
 from small_source import small_config, small_source
 
 from aero_planner import PlannerConfig, PlanStatus
-from aero_viz.dashboard.history import COLUMNS, FlightHistory, drone_clearance, first_difference
-from aero_viz.dashboard.panels.charts import CURVES, envelope, flight_table, table
+from aero_viz.dashboard.history import COLUMNS, FlightHistory, first_difference
+from aero_viz.dashboard.panels.flight_table import flight_table
+from aero_viz.dashboard.signals import drone_clearance
 from aero_viz.logs.flight_figures import CLEARANCE_MAX, FlightFigures
 from aero_viz.session import Session
 
@@ -32,7 +31,7 @@ def test_every_tick_has_a_row_and_going_back_keeps_them(session):
     history = FlightHistory()
     fly(session, history, 20)
     flown = history.past().rows
-    assert flown.shape == (20, len(COLUMNS))
+    assert len(flown) == 20 and tuple(history.past().columns)[: len(COLUMNS)] == COLUMNS
     np.testing.assert_allclose(np.diff(flown[:, 0]), session.source.period)
     session.step(-10)
     history.add(session.frame)
@@ -110,8 +109,8 @@ def test_ticks_without_a_safe_candidate_are_those_of_the_planner(session):
     braking = dataclasses.replace(session.frame.plan, status=PlanStatus.NO_SAFE_CANDIDATE)
     last = session.frame
     history.add(dataclasses.replace(last, time=last.time + last.source.period, plan=braking))
-    columns: dict[str, np.ndarray] = dict(zip(COLUMNS, history.past().rows.T, strict=True))
-    assert (columns["clear"] > 0.0).all(), "every plan has candidates with the safe clearance"
+    columns = {name: history.past().column(name) for name in COLUMNS}
+    assert (history.past().column("clear") > 0.0).all(), "every plan has candidates with the safe clearance"
     assert FlightFigures.from_columns(columns, "flying").unsafe_ticks == 1
 
 
@@ -145,26 +144,6 @@ def test_clearance_is_the_true_one_up_to_its_limit(session):
     exact = float(frame.source.world.distance(position[None])[0])
     assert drone_clearance(frame) == pytest.approx(min(exact, CLEARANCE_MAX))
     assert exact > frame.config.costs.distance_max, "beyond what the planner measures"
-
-
-def test_no_dip_is_lost_and_no_line_crosses_a_jump():
-    time = np.arange(5000, dtype=np.float64) * 0.02
-    time[2500:] += 7.0
-    values = np.ones(5000)
-    values[1234], values[4321] = -3.0, 9.0
-    lines = envelope(np.asarray(time, dtype=np.float64), values, (time[0], time[-1]), gap=0.25)
-    assert len(lines) == 2
-    assert {value for line in lines for _, value in line} == {1.0, -3.0, 9.0}
-    assert sum(map(len, lines)) < 1500
-    assert lines[0][-1][0] < lines[1][0][0]
-
-
-def test_the_table_has_a_row_for_every_tick(session):
-    history = FlightHistory()
-    fly(session, history, 4)
-    rows = list(csv.DictReader(io.StringIO(table(history.past().rows, CURVES[:2]))))
-    assert list(rows[0]) == ["time", "speed", "clearance"]
-    assert [float(row["time"]) for row in rows] == pytest.approx(history.past().rows[:, 0])
 
 
 def test_the_flight_of_a_is_the_ghost_until_it_is_unpinned(session):

@@ -94,7 +94,7 @@ def test_messages_and_methods_have_the_expected_signature(part: Any):
     assert str(inspect.signature(part)) == SIGNATURES[part], ADVICE
 
 
-OF_VISER = [message for message in get_args(page_messages.MESSAGES) if message is not page_messages.NumberMessage]
+OF_VISER = [kind for kind in get_args(page_messages.MESSAGES) if not str(kind.__struct_config__.tag).startswith("Aero")]
 
 
 @pytest.mark.parametrize("message", OF_VISER, ids=lambda message: message.__name__)
@@ -108,6 +108,13 @@ def test_viser_starts_its_server_where_the_adapter_takes_part():
     source = inspect.getsource(_infra)
     assert re.search(r"websockets\.asyncio\.server\.serve\(\s*ws_handler,", source), ADVICE
     assert re.search(r"process_request=", source) and _infra.__name__.startswith("viser."), ADVICE
+
+
+def test_the_page_of_viser_shows_its_charts_and_sends_where_the_scripts_expect_it():
+    page = (Path(viser.__file__).parent / "client" / "src").rglob("*.ts*")
+    source = "".join(path.read_text() for path in page)
+    assert "__viserTestpoints" in viser_private.CHARTS and "reg[uuid] = { chart, createCount" in source, ADVICE
+    assert re.search(r"\.postMessage\(\s*\{\s*type: \"send\", message", source), ADVICE
 
 
 def test_nothing_else_touches_private_parts():

@@ -78,8 +78,9 @@ def _compare(desk: Desk) -> None:
 
 
 def _curves(desk: Desk) -> None:
-    desk.open_tab("Curves")
     desk.session.step(100).result()
+    desk.click("Curves")
+    desk.page.locator(".u-over").first.wait_for()
 
 
 def _end(desk: Desk) -> None:

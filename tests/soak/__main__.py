@@ -158,6 +158,8 @@ def _page(playwright: Playwright, url: str, *, slow: bool) -> Iterator[Page]:
             rates = {"downloadThroughput": _BYTES_PER_SECOND, "uploadThroughput": _BYTES_PER_SECOND}
             devtools.send("Network.emulateNetworkConditions", {"offline": False, "latency": 150, **rates})
         page.goto(url, timeout=120_000)
+        if not slow:
+            page.get_by_text("Curves", exact=True).first.click(timeout=120_000)
         yield page
     finally:
         with contextlib.suppress(Error):  # Ctrl-C ends the browser as well

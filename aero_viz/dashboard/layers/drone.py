@@ -6,7 +6,7 @@ import numpy as np
 import viser
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.history import Past
+from aero_viz.dashboard.history import PLACE, Past
 from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, polylines
 from aero_viz.dashboard.quadrotor import quadrotor
 from aero_viz.session.frame import Frame
@@ -70,7 +70,7 @@ class GhostLayer(Layer):
         if past is None or not self.available:
             nothing = self._lines.show(np.zeros((0, 2, 3)), _GHOST)
             return [*nothing, (self._pose, "visible", False), (self._ball, "visible", False)]
-        path = past.ghost[:, -3:]
+        path = past.ghost[:, PLACE]
         differs = [] if past.differs_at is None else np.flatnonzero(past.rows[:, 0] >= past.differs_at - 1e-9)[:1]
         step = -(-len(path) // (_TRAIL_SEGMENTS - 1))
         vertices = np.concatenate((path[::step], path[-1:])).astype(np.float32)
@@ -79,7 +79,7 @@ class GhostLayer(Layer):
             *self._lines.show(polylines(vertices), _GHOST),
             (self._pose, "position", path[max(at, 0)]),
             (self._pose, "visible", at >= 0),
-            *((self._ball, "position", past.rows[row, -3:]) for row in differs),
+            *((self._ball, "position", past.rows[row, PLACE]) for row in differs),
             (self._ball, "visible", len(differs) > 0),
         ]
 

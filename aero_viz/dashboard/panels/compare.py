@@ -11,14 +11,17 @@ from aero_planner import PlannerConfig, PlanStatus
 from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.cost_text import cost_text
+from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.history import Past
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Page, Panel
-from aero_viz.dashboard.panels.charts import flight_table
+from aero_viz.dashboard.panels.base import TYPING_DELAY, Page, Panel
+from aero_viz.dashboard.panels.flight_table import flight_table
 from aero_viz.dashboard.panels.status import clearance_text
+from aero_viz.errors import UserError
 from aero_viz.explain.crossed_costs import ChoiceCost, CrossedCosts, crossed_costs
 from aero_viz.explain.evidence import Replanner
+from aero_viz.reader_process import ReaderProcess
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 from aero_viz.session.safety import known_safe
@@ -27,14 +30,21 @@ _PIN_HINT = (
     "Pin the present configuration as A; the controls below change B. While the session is paused, both plan its tick, "
     "and the rollouts of A have the colour of the ghost."
 )
+_LOG_HINT = "Path of a flight log, whose flight becomes the ghost and the dashed curves."
 _FLY_HINT = "A flies from this tick to its end, as the ghost; then B flies from the same tick, with the same noise."
 
 
 class ComparePanel(Panel):
-    """Pins configuration A, and shows how its plan and its flight differ from those of B."""
+    """Pins configuration A, and shows how its plan and its flight differ from those of B; or lays a log beside.
 
-    def __init__(self, page: Page, controls: SessionControls) -> None:
-        self._controls = controls
+    Args:
+        page: page of the panel.
+        controls: controls of the session.
+        folders: folders whose logs may be laid beside the flight.
+    """
+
+    def __init__(self, page: Page, controls: SessionControls, folders: Folders) -> None:
+        self._controls, self._folders = controls, folders
         super().__init__(page)
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -49,6 +59,10 @@ class ComparePanel(Panel):
         self._stop = gui.add_button(
             "Stop comparing", icon=viser.Icon.PINNED_OFF, color="gray", visible=False, hint="Unpin A."
         )
+        with gui.add_folder("A log beside", expand_by_default=False):
+            self._log = gui.add_text("Log", "", hint=_LOG_HINT)
+            show = gui.add_button("Show log", icon=viser.Icon.CHART_LINE, color="gray", hint=_LOG_HINT)
+            self._hide = gui.add_button("Hide log", icon=viser.Icon.CHART_LINE, color="gray", visible=False)
         self._replan = Replanner()
         self._wanted: tuple[Frame, Frame] | None = None
         self._costs: CrossedCosts | None = None
@@ -73,6 +87,25 @@ class ComparePanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             self.page.attempt(self._controls.unpin, event.client)
 
+        @show.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            await asyncio.sleep(TYPING_DELAY)
+            await asyncio.to_thread(self.page.attempt, self._lay_beside, event.client)
+
+        @self._hide.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.page.attempt(lambda: self.page.history.lay_beside(None), event.client)
+
+    def _lay_beside(self) -> None:
+        """Read the log that was named, in another process, and show it as the ghost."""
+        from aero_viz.logs.comparison import LoggedFlight
+
+        if self._controls.comparison.pinned is not None:
+            raise UserError("Configuration A is the ghost: stop comparing before you lay a log beside the flight.")
+        path = self._folders.find(self._log.value.strip())
+        reader = ReaderProcess(folders=self._folders.paths)
+        self.page.history.lay_beside(reader(LoggedFlight.read, str(path)))
+
     def _exchange(self) -> None:
         a = self._controls.comparison.pinned
         if a is not None:
@@ -86,10 +119,11 @@ class ComparePanel(Panel):
 
     def update(self, frame: Frame) -> list[Change]:
         past = self.page.history.past()
+        is_beside = len(past.ghost) > 0 and past.ghost_name not in ("A", "before")
         content = ""
         if past.pinned is not None:
             content = markup.block(*self._tables(frame, past, past.pinned))
-        return [*self.update_without_frame(), (self.table, "content", content)]
+        return [*self.update_without_frame(), (self._hide, "visible", is_beside), (self.table, "content", content)]
 
     def close(self) -> None:
         self._work.close()

@@ -12,9 +12,9 @@ from aero_viz.dashboard.folders import Folders
 from aero_viz.dashboard.panels.appearance import AppearancePanel
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
-from aero_viz.dashboard.panels.charts import ChartPanel
 from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
+from aero_viz.dashboard.panels.curves import CurvePanel
 from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.health import HealthPanel
@@ -135,7 +135,7 @@ def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
 def _tune(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
     page, controls = desk.page, desk.controls
     baseline = Baseline.from_config(page.session.config)
-    panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls)]
+    panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls, desk.offer.folders)]
     panels += [SeedsPanel(page, controls, sources) for sources in desk.sources]
     return [*panels, ConfigurationPanel(page, controls, baseline), ParameterPanel(page, controls, baseline, tab)]
 
@@ -162,7 +162,6 @@ PANELS: Registry[Tab] = Registry(
     {
         "fly": Tab("Fly", viser.Icon.DRONE, _fly),
         "world": Tab("World", viser.Icon.TREES, _world, _is_controlled),
-        "curves": Tab("Curves", viser.Icon.CHART_LINE, lambda desk, _: [ChartPanel(desk.page)]),
         # The frames of a drone hold too little to explain them.
         "why": Tab("Why", viser.Icon.QUESTION_MARK, _why, _is_controlled),
         "layers": Tab("Layers", viser.Icon.STACK_2, _layers),
@@ -183,7 +182,7 @@ PANELS: Registry[Tab] = Registry(
 
 
 def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
-    """Create all panels: the tabs docked on the right, the status floating at the lower left.
+    """Create all panels: the tabs docked on the right, the status floating at the lower left, curves below.
 
     Without `session.controls`, there are no panels that change the session.
     """
@@ -214,6 +213,7 @@ def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
     with status.add_tab("Legend", viser.Icon.PALETTE):
         state.create_details(gui)
     status.float(x=15, y=-15, width=310)
+    panels.append(CurvePanel(page, playback.seek))
     # Before the others, which forget what a visitor who leaves has chosen.
     return camera, [
         ReturningVisitors(page, camera),

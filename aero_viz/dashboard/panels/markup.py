@@ -62,22 +62,6 @@ def heading(label: str, value: str = "") -> str:
     return f'<div style="{style}">{muted(label)}<span>{text(value)}</span></div>'
 
 
-def one_line(label: str, value: str) -> str:
-    """Return a heading of one line. A label that is too long ends with an ellipsis; the value stays whole."""
-    cut = "overflow:hidden;text-overflow:ellipsis"
-    return (
-        f'<div style="display:flex;justify-content:space-between;gap:8px;white-space:nowrap">'
-        f'<span style="min-width:0;{cut}">{muted(label)}</span><span>{text(value)}</span></div>'
-    )
-
-
-def colored(words: Sequence[tuple[str, Rgb]]) -> str:
-    """Return words in the colours of the curves that they name, in one line; empty without words."""
-    spans = "".join(f'<span style="color:{ink(color)}">{text(word)}</span>' for word, color in words)
-    style = "display:flex;justify-content:space-between;gap:8px;white-space:nowrap;overflow:hidden"
-    return f'<div style="{style}">{spans}</div>' if spans else ""
-
-
 def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
     """Return a bar divided in proportion, with a legend below that leaves out parts under 2 %."""
     total = max(sum(value for _, value, _ in parts), 1e-9)

@@ -19,7 +19,7 @@ from aero_viz.dashboard.viser_private import run_script, wait_until_drawn
 _SIZE_MIN, _SIZE_MAX = 300, 4000
 _TOKEN, _VIEW = "aero-copy", "aero-view"
 """Items of a browser's storage: the token of a copy, empty once it is complete, and the state of a page."""
-_KEPT = ("aero-tab ", "viser-user:theme")
+_KEPT = ("aero-tab ", "viser-user:theme", "aero-curves")
 """Beginnings of the names of the items that a copy takes over."""
 _ANSWER_MAX = 20.0
 """Longest wait for the answer of a page [s]."""
@@ -29,11 +29,13 @@ for (const list of document.querySelectorAll("[role=tablist]")) {{
   const tabs = [...list.querySelectorAll("[role=tab]")], open = tabs.find(tab => tab.ariaSelected === "true");
   if (open) items["aero-tab " + tabs[0].innerText.trim()] = open.innerText.trim();
 }}
-const theme = localStorage.getItem("viser-user:theme");
-if (theme !== null) items["viser-user:theme"] = theme;
+for (const key of ["viser-user:theme", "aero-curves"]) {{
+  const item = localStorage.getItem(key);
+  if (item !== null) items[key] = item;
+}}
 localStorage.setItem("viser-user:{_VIEW}", JSON.stringify({{width: innerWidth, height: innerHeight, items}}));
 """
-"""Script that stores the size, the open tabs and the theme of a page."""
+"""Script that stores the size, the open tabs, the theme and the curves of a page."""
 
 
 class PageCopies(Panel):

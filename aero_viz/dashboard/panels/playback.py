@@ -94,8 +94,7 @@ class PlaybackPanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._touched.begin()
-                self.session.pause()
-                self._seek(float(self._time.value))
+                self.seek(float(self._time.value))
 
     def close(self) -> None:
         self._moves.close()
@@ -105,6 +104,11 @@ class PlaybackPanel(Panel):
         with self._lock:
             self._waiting = (time, 0)
         self._moves.put(None)
+
+    def seek(self, time: float) -> None:
+        """Pause, and go to the tick nearest to a time [s]."""
+        self.session.pause()
+        self._seek(time)
 
     def step(self, count: int) -> None:
         """Move by a number of ticks; while the session is moving, clicks add up to at most `_STEPS_MAX`."""

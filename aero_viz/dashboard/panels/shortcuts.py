@@ -35,8 +35,8 @@ class ShortcutPanel(Panel):
 
     def welcome(self, client: viser.ClientHandle) -> None:
         self._register(client.gui, own=True)
-        run_script(client, LISTENER)
-        run_script(client, number_fields.LISTENER)
+        for script in (LISTENER, number_fields.LISTENER):
+            run_script(client, script)
 
     def _register(self, gui: viser.GuiApi, *, own: bool) -> None:
         for key in KEYS:

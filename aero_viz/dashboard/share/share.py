@@ -14,10 +14,10 @@ import numpy as np
 
 from aero_planner.config import DroneConfig
 from aero_planner.output_files import check_output_files, whole_file
-from aero_viz.dashboard.history import drone_clearance
 from aero_viz.dashboard.page_view import PageView
 from aero_viz.dashboard.share.page import page
 from aero_viz.dashboard.share.scene_recording import SceneRecording
+from aero_viz.dashboard.signals import drone_clearance
 from aero_viz.errors import UserError
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
