@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from pathlib import Path
 from typing import Any
 
 from numpy.typing import ArrayLike
@@ -12,6 +13,8 @@ from numpy.typing import ArrayLike
 from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
 from aero_viz.errors import UserError
+from aero_viz.live.record import Recorder
+from aero_viz.live.setup import Setup
 from aero_viz.live.source import StreamSource
 from aero_viz.session.engine import Engine
 from aero_viz.session.frame import Frame
@@ -20,6 +23,8 @@ from aero_viz.session.session import Session
 
 _TICKS_MAX = 4096
 """Ticks that may wait for a sink: minutes."""
+_CLOSE_TIMEOUT = 10.0
+"""Longest wait for a slow disk at the end of a recording [s]."""
 
 
 class StreamEngine(Engine):
@@ -68,8 +73,8 @@ class StreamSession(Session):
     """Plans a stream at its rate, for as long as it is open.
 
     `pause`, `step` and `seek` hold the picture at a tick, which is then planned again where the configuration changes;
-    `play` returns to the newest one. With a pinned configuration, A also plans the ticks that are shown, as far as there
-    is time.
+    `play` returns to the newest one. With a pinned configuration, A plans the ticks that are shown as well, as far as
+    there is time.
 
     Args:
         source, config, device, seed: see `Session`.
@@ -85,6 +90,8 @@ class StreamSession(Session):
         """The stream."""
         self._ticks = Publisher[Frame]()
         self._due = 0.0
+        self.recorder: Recorder | None = None
+        """Writes the stream; None while nothing is recorded."""
         super().__init__(source, config=config, device=device, seed=seed)
         self._playing = True
 
@@ -165,9 +172,41 @@ class StreamSession(Session):
 
         return self._post(command)
 
-    def forget(self) -> Future[Any]:
-        """Let the next live plan build on none before it."""
-        return self._post(self._engine.forget)
+    def use(self, setup: Setup) -> Future[Any]:
+        """Read the messages otherwise from the next tick on."""
+        return self._post(lambda: self.stream_source.use(setup))
+
+    def record(self, path: str | Path) -> Future[Recorder]:
+        """Write what arrives and what is planned from the next tick on, until `stop_recording` or `close`.
+
+        The future has a UserError if the file cannot be written, or another one is being written.
+        """
+
+        def command() -> Recorder:
+            if self.recorder is not None:
+                raise UserError(f"{self.recorder.path} is being recorded; stop that first.")
+            recorder = Recorder(path, self.stream_source.stream, seed=self.seed, failed=self._recording_failed)
+            self._engine.forget()
+            recorder.sink = self._ticks.subscribe(recorder.put, capacity=_TICKS_MAX, name="recorder")
+            self.recorder = recorder
+            return recorder
+
+        return self._post(command)
+
+    def stop_recording(self) -> Future[Any]:
+        """Finish the file that is being recorded, if there is one."""
+        return self._post(self._finish_recording)
+
+    def _finish_recording(self) -> None:
+        recorder, self.recorder = self.recorder, None
+        if recorder is None:
+            return
+        self._ticks.unsubscribe(recorder.sink, timeout=_CLOSE_TIMEOUT)
+        recorder.close(dropped=recorder.sink.dropped)
+        self.notify(f"Recorded {recorder.ticks} ticks: aero-viz play {recorder.path}")
+
+    def _recording_failed(self, text: str) -> None:
+        self.notify(text, level="error")
 
     def _tick(self) -> Frame:
         self._due = max(self._due + self.source.period, time.monotonic())
@@ -204,5 +243,6 @@ class StreamSession(Session):
             self._report(error)
 
     def close(self) -> None:
+        self._post(self._finish_recording)
         self._ticks.close()
         super().close()

@@ -19,6 +19,7 @@ from aero_viz.planners.observation import Observation
 from aero_viz.planners.plan import Plan
 from aero_viz.recordings.pose_messages import decode_poses
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message
+from aero_viz.recordings.source import checked_goal
 from aero_viz.session.source import SourceInfo
 
 GOAL_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped", "nav_msgs/msg/Odometry")
@@ -81,7 +82,7 @@ class StreamSource:
     ) -> None:
         self.stream, self.setup = stream, setup
         self.goal_topic, self._goal_ahead = goal_topic, goal_ahead
-        self._goal: NDArray[np.float64] | None = None if goal is None else _checked_goal(goal)
+        self._goal: NDArray[np.float64] | None = None if goal is None else checked_goal(goal)
         self._assembler = Assembler(stream, setup)
         self._queue: deque[LiveMessage] = deque(maxlen=_QUEUE)
         self._end = stream.listen(self._queue.append, from_kept=True)
@@ -140,7 +141,7 @@ class StreamSource:
 
     def set_goal(self, position: ArrayLike | None) -> None:
         """Fix the goal at `position` [m], shape [3], world frame, from this tick on; None is ahead of the drone."""
-        self._goal = None if position is None else _checked_goal(position)
+        self._goal = None if position is None else checked_goal(position)
         self._tick = replace(self._tick, goal=self._goal_for(self._tick.state))
 
     def use(self, setup: Setup) -> None:
@@ -217,10 +218,3 @@ class StreamSource:
         if message.type == GOAL_TYPES[0] and goal[2] == 0.0 and self._newest > -np.inf:
             goal[2] = np.asarray(self._tick.state.position)[2]
         self._goal = goal
-
-
-def _checked_goal(position: ArrayLike) -> NDArray[np.float64]:
-    goal = np.array(position, np.float64)
-    if goal.shape != (3,) or not np.isfinite(goal).all():
-        raise UserError(f"A goal is three finite numbers [m], not {position}.")
-    return goal
