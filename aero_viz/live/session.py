@@ -95,6 +95,10 @@ class StreamSession(Session):
         super().__init__(source, config=config, device=device, seed=seed)
         self._playing = True
 
+    @property
+    def is_stream(self) -> bool:
+        return True
+
     def subscribe_ticks(self, callback: Callable[[Frame], None], *, name: str) -> Mailbox[Frame]:
         """Call `callback` with every live tick, whatever is shown, on a separate thread, until `unsubscribe`."""
         return self._ticks.subscribe(callback, capacity=_TICKS_MAX, name=name)

@@ -92,7 +92,8 @@ class StreamSource:
         if not self._assembler.has_inputs:
             self._end()
             raise UserError(f"{stream.name} has no sweep with a pose yet: wait for both, and try again.")
-        self._tick = self._take()
+        self._tick = self.newest = self._take()
+        """The newest tick, whichever is the present one."""
         self.info = SourceInfo(
             name=stream.name,
             closed_loop=False,
@@ -123,7 +124,8 @@ class StreamSource:
     def advance(self, plan: Plan | None = None) -> None:
         """Go to the newest messages; the plan is ignored."""
         self._drain()
-        self._tick = self._take()
+        self._tick = self.newest
+        self._tick = self.newest = self._take()
 
     def checkpoint(self) -> Tick:
         """Return the inputs of this tick."""

@@ -43,7 +43,9 @@ class Feed:
     """
 
     def __init__(self, graph: Graph, stream: Stream) -> None:
-        self._graph, self._stream = graph, stream
+        self.graph = graph
+        """The graph."""
+        self._stream = stream
         self._wanted: dict[str, str] = {}
         self._subscribed: dict[str, _Subscribed] = {}
         self._lock = threading.Lock()
@@ -54,7 +56,7 @@ class Feed:
     def candidates(self) -> dict[str, str]:
         """Return the topics of the graph that can be read, with their types."""
         found: dict[str, str] = {}
-        for topic in self._graph.topics():
+        for topic in self.graph.topics():
             if (kind := readable_type(topic)) is not None:
                 found[topic.name] = kind
         return found
@@ -85,18 +87,18 @@ class Feed:
     def _update(self) -> None:
         """Remove what is not wanted, and subscribe where nothing is subscribed, or with another quality."""
         for name in [name for name in self._subscribed if name not in self._wanted]:
-            self._graph.remove(self._subscribed.pop(name).subscription)
+            self.graph.remove(self._subscribed.pop(name).subscription)
         for name, kind in self._wanted.items():
-            quality, present = self._graph.quality(name, kind), self._subscribed.get(name)
-            self._stream.health(name, kind).publishers = tuple(self._graph.nodes(name))
+            quality, present = self.graph.quality(name, kind), self._subscribed.get(name)
+            self._stream.health(name, kind).publishers = tuple(self.graph.nodes(name))
             # Without a publisher, the subscription waits for one that returns.
             if present is not None and (quality is None or quality == present.quality):
                 continue
             if present is not None:
-                self._graph.remove(present.subscription)
+                self.graph.remove(present.subscription)
             take = functools.partial(self._stream.add, name, kind)
             depth = _CLOUDS if kind in CLOUD_TYPES else _DEPTH
-            subscription = self._graph.subscribe(name, kind, take, raw=True, depth=depth)
+            subscription = self.graph.subscribe(name, kind, take, raw=True, depth=depth)
             self._subscribed[name] = _Subscribed(subscription, kind, quality)
 
     def close(self) -> None:

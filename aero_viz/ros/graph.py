@@ -111,6 +111,8 @@ class Graph:
             self._context.try_shutdown()
             number = domain if domain is not None else os.environ.get("ROS_DOMAIN_ID", "0")
             raise UserError(f"ROS 2 cannot start in domain {number}: {error}; check ROS_DOMAIN_ID.") from error
+        self.domain = self._context.get_domain_id()
+        """Number of the domain."""
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._closed = threading.Event()
