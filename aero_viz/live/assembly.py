@@ -50,6 +50,8 @@ class Inputs(NamedTuple):
     sweeps: Sweeps
     cloud_age: float
     """Time since the end of the newest sweep [s]."""
+    stamp: int
+    """Stamp of the newest sweep as it was published [ns]."""
 
 
 class _Sweep(NamedTuple):
@@ -62,6 +64,7 @@ class _Sweep(NamedTuple):
     """Time of each point [s], None where unknown."""
     end: float
     arrival: int
+    stamp: int
 
 
 class Assembler:
@@ -88,7 +91,7 @@ class Assembler:
         self._velocity = np.zeros(3)
         self._pose_arrival = 0
         self._waiting: deque[_Sweep] = deque()
-        self._sweep_arrival = 0
+        self._newest: _Sweep | None = None
         self._placed: deque[tuple[NDArray[np.float32], Arrival]] = deque()
         self._sweeps = Sweeps()
         self._clocks: dict[str, HostClock] = {}
@@ -140,7 +143,7 @@ class Assembler:
         if len(self._waiting) == _WAITING_MAX:
             self._waiting.popleft()
             health.refuse("no pose arrives for it")
-        self._waiting.append(_Sweep(points, time, times, end, message.time))
+        self._waiting.append(_Sweep(points, time, times, end, message.time, cloud.stamp))
 
     def _add_poses(self, message: LiveMessage, health: TopicHealth) -> None:
         setup = self.setup
@@ -226,15 +229,17 @@ class Assembler:
     def inputs(self, now: int) -> Inputs:
         """Return the newest inputs at a time of arrival [ns]. There must be some, see `has_inputs`."""
         self.place(now)
+        newest = self._newest
+        assert newest is not None
         if self.setup.poses is None:
-            time = self._placed[-1][1].time + max(now - self._sweep_arrival, 0) * 1e-9
+            time = newest.end + max(now - newest.arrival, 0) * 1e-9
             state = VehicleState(np.zeros(3), np.zeros(3), (1.0, 0.0, 0.0, 0.0), time=time)
         else:
             age = max(now - self._pose_arrival, 0) * 1e-9
             time = self._track.newest_time + age
             position = self._track.positions[-1] + min(age, _LEAD) * self._velocity
             state = VehicleState(position, self._velocity.copy(), self._track.quaternions[-1].copy(), time=time)
-        return Inputs(time, state, self._sweeps, max(time - self._placed[-1][1].time, 0.0))
+        return Inputs(time, state, self._sweeps, max(time - newest.end, 0.0), newest.stamp)
 
     def place(self, now: int) -> None:
         """Place the sweeps whose poses have arrived, or that have waited long enough at `now` [ns]."""
@@ -252,7 +257,7 @@ class Assembler:
                 continue
             place = self._track.interpolate(sweep.end)[0].tolist() if len(self._track) else [0.0, 0.0, 0.0]
             self._placed.append((as_constant(points), Arrival(sweep.end, (place[0], place[1], place[2]))))
-            self._sweep_arrival, placed = sweep.arrival, True
+            self._newest, placed = sweep, True
         if placed:
             self._limit_cloud()
 

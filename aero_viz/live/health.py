@@ -18,6 +18,8 @@ _SILENT = 5.0
 """Median periods without a message after which a topic is silent, and at least a second."""
 _OFFSET = 0.5
 """Difference of clocks from which it is reported [s]: no message takes as long."""
+_RECENT = 10.0
+"""Time for which trouble is reported [s]; the counts stay."""
 
 
 def header_stamp(data: bytes, type_name: str) -> int:
@@ -44,6 +46,8 @@ class TopicHealth:
         """Number of messages with a stamp that is not later than the one before."""
         self.publishers: tuple[str, ...] = ()
         """Names of the nodes that publish it, where they are known."""
+        self._seen: dict[str, int] = {}
+        """Number of messages when each kind of trouble was last seen."""
         self._arrivals: deque[int] = deque(maxlen=_WINDOW)
         self._stamps: deque[int] = deque(maxlen=_WINDOW)
 
@@ -51,9 +55,12 @@ class TopicHealth:
         """Count a message by its stamp, 0 where unset, and its arrival [ns]."""
         if self._stamps and stamp:
             step, period = (stamp - self._stamps[-1]) * 1e-9, self.period
-            self.behind += step <= 0.0
+            if step <= 0.0:
+                self.behind += 1
+                self._note("behind")
             if len(self._stamps) > 4 and period and _GAP * period < step < 60.0:
                 self.missing += round(step / period) - 1
+                self._note("missing")
         self.count += 1
         self._arrivals.append(arrival)
         self._stamps.append(stamp)
@@ -61,6 +68,15 @@ class TopicHealth:
     def refuse(self, reason: str) -> None:
         """Count a message that cannot be used, for a reason that completes "It cannot be used because ..."."""
         self.unused[reason] += 1
+        self._note(reason)
+
+    def _note(self, trouble: str) -> None:
+        self._seen[trouble] = self.count
+
+    def _is_recent(self, trouble: str) -> bool:
+        """Return True if a kind of trouble was seen among the messages of the last `_RECENT` seconds."""
+        since = (self.count - self._seen.get(trouble, -_WINDOW * 1000)) * self.period
+        return since < _RECENT
 
     @property
     def period(self) -> float:
@@ -88,10 +104,12 @@ class TopicHealth:
         if self.count and self.is_silent(now):
             found.append(f"{self.topic} is silent for {self.age(now):.0f} s: its publisher has ended, or is not heard")
         for reason, count in self.unused.most_common(3):
+            if not self._is_recent(reason):
+                continue
             found.append(f"{count} of {self.count} messages on {self.topic} are left out because {reason}")
-        if self.missing:
+        if self.missing and self._is_recent("missing"):
             found.append(f"about {self.missing} messages on {self.topic} are missing, by the gaps between stamps")
-        if self.behind:
+        if self.behind and self._is_recent("behind"):
             found.append(f"{self.behind} stamps on {self.topic} are not later than the one before")
         if len(self.publishers) > 1:
             found.append(f"{len(self.publishers)} nodes publish {self.topic}: {', '.join(self.publishers)}")

@@ -89,7 +89,7 @@ class StreamSession(Session):
         self.stream_source = source
         """The stream."""
         self._ticks = Publisher[Frame]()
-        self._due = 0.0
+        self._due, self._ticks_alone = 0.0, False
         self.recorder: Recorder | None = None
         """Writes the stream; None while nothing is recorded."""
         super().__init__(source, config=config, device=device, seed=seed)
@@ -226,6 +226,7 @@ class StreamSession(Session):
             if self._try_tick() and not play:
                 self._hold()
 
+        self._ticks_alone = True
         self._loop.start(first, name="aero-viz-stream")
 
     def _idle_time(self) -> float | None:
@@ -235,7 +236,7 @@ class StreamSession(Session):
         return self.comparison.has_work
 
     def _work(self) -> None:
-        if time.monotonic() >= self._due:
+        if self._ticks_alone and time.monotonic() >= self._due:
             self._try_live_tick()
         elif self._must_compare():
             super()._work_on_comparison()

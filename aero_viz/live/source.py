@@ -44,6 +44,8 @@ class Tick:
     sweeps: Sweeps
     cloud_age: float
     """[s]."""
+    stamp: int
+    """Stamp of the newest sweep as it was published [ns]."""
     trouble: str | None
     """What was wrong with the stream, as sentences; None if nothing was."""
 
@@ -99,7 +101,7 @@ class StreamSource:
             closed_loop=False,
             period=1.0 / rate,
             start=np.asarray(self._tick.state.position, np.float64),
-            notices=(_OPEN_LOOP, *(f"{text[0].upper()}{text[1:]}." for text in setup.assumptions)),
+            notices=(_OPEN_LOOP,),
             kept=max(round(kept * rate), 1),
         )
 
@@ -177,9 +179,8 @@ class StreamSource:
             # The first tick, or one behind a clock that was set: the time of the source goes on.
             self._origin = max(self._newest, 0.0) - inputs.time
         time = self._after(inputs.time + self._origin)
-        trouble = self._trouble(now)
-        goal = self._goal_for(inputs.state)
-        return Tick(time, now, inputs.state, goal, inputs.sweeps, inputs.cloud_age, trouble)
+        goal, trouble = self._goal_for(inputs.state), self._trouble(now)
+        return Tick(time, now, inputs.state, goal, inputs.sweeps, inputs.cloud_age, inputs.stamp, trouble)
 
     def _after(self, time: float) -> float:
         self._newest = max(time, self._newest + 1e-6)

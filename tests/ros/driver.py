@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import array
+import contextlib
 import sys
 import threading
 import time
@@ -93,15 +94,23 @@ def main() -> None:
     parser.add_argument("--no-odometry", action="store_true")
     parser.add_argument("--in-world", action="store_true", help="publish the cloud in the frame of the odometry")
     parser.add_argument("--clouds", type=int, default=10**9, help="publish so many, and end")
+    parser.add_argument("--wait", action="store_true", help="begin when both topics are subscribed to")
     parser.add_argument("--node", default="driver")
     options = parser.parse_args()
     rclpy.init()
+    with contextlib.suppress(RuntimeError):  # by SIGTERM
+        publish(options)
+
+
+def publish(options: argparse.Namespace) -> None:
     node = rclpy.create_node(options.node)
     reliable = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
     quality = qos_profile_sensor_data if options.best_effort else reliable
     clouds = node.create_publisher(PointCloud2, options.cloud_topic, quality)
     poses = None if options.no_odometry else node.create_publisher(Odometry, options.odometry_topic, quality)
     print("ready", flush=True)
+    while options.wait and rclpy.ok() and not all(p.get_subscription_count() for p in (clouds, poses) if p is not None):
+        time.sleep(0.01)
     world, began, sent = corridor(options.points), time.monotonic(), 0
     orders: list[str] = []
     threading.Thread(target=lambda: orders.extend(line.strip() for line in sys.stdin), daemon=True).start()
