@@ -14,6 +14,7 @@ import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -122,15 +123,15 @@ def _quantiles(values: list[float]) -> dict[str, float]:
     return {"median": round(float(median), 1), "p99": round(float(high), 1)}
 
 
-def main() -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the figures as JSON; return the exit code: 1 if a cloud was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=positive, default=60.0)
+    parser.add_argument("--seconds", type=positive, default=60)
     parser.add_argument("--points", type=int, default=20_000)
-    parser.add_argument("--rate", type=positive, default=50.0, help="plans per second")
+    parser.add_argument("--rate", type=positive, default=50, help="plans per second")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--page", action="store_true", help="draw the page in a browser, and measure its pictures")
-    figures = measure(**vars(parser.parse_args()))
+    figures = measure(**vars(parser.parse_args(argv)))
     print(json.dumps(figures, indent=2))
     return int(figures["clouds_received"] < figures["clouds_sent"])
 

@@ -138,7 +138,7 @@ def test_the_goal_of_the_stream_leaves_what_was_planned(corridor: Corridor, open
     first = ticks_of(session, corridor, 1)[0]
     session.set_goal((10.0, 1.0, 2.0)).result()
     assert session.frame is first
-    assert tuple(ticks_of(session, corridor, 1)[0].observation.goal.position) == (10.0, 1.0, 2.0)
+    assert np.array_equal(ticks_of(session, corridor, 1)[0].observation.goal.position, [10.0, 1.0, 2.0])
 
 
 def test_a_stream_has_its_own_speed(open_session: Open):

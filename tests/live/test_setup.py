@@ -27,7 +27,7 @@ def test_the_clouds_of_the_world_stay_where_they_are(corridor: Corridor):
 
 def test_faults_are_those_of_inspect(corridor: Corridor):
     # A bracket that the sensor sees moves with the body.
-    for _ in range(40):
+    for _ in range(60):
         seen = walls(300) - corridor.place(corridor.now).astype(np.float32)
         bracket = np.tile(np.float32([0.3, 0.1, -0.1]), (50, 1))
         corridor.pose()
