@@ -206,7 +206,8 @@ def open_source(
 
     refuse_irregular(spec)
     topics = {"points_topic": points_topic, "pose_topic": pose_topic}
-    if is_stream_recording(spec) and not any(topics.values()):
+    settled = {**topics, **recording_options, "progress": None}
+    if is_stream_recording(spec) and all(value in (None, "none", "auto") for value in settled.values()):
         return StreamReplay(spec, read=None if read is read_here else read)
     if read is read_here or recording_options:
         recording = open_recording(spec, **{**topics, **recording_options})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
+import re
 from functools import lru_cache
 from pathlib import Path
 
@@ -11,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Arrival, Goal, PlanStatus, Sweeps, VehicleState
+from aero_planner.config import DroneConfig
 from aero_planner.sweeps import as_constant
-from aero_planner.user_file import open_user_file
+from aero_planner.user_file import open_user_file, parse_json
 from aero_viz.errors import UserError
-from aero_viz.live.record import SWEEP_TOPIC, TICK, TICK_TOPIC, TickRecord, decode_tick
-from aero_viz.logs.log_contents import read_log
+from aero_viz.live.record import SETTINGS, SWEEP_TOPIC, TICK, TICK_TOPIC, TickRecord, decode_tick
+from aero_viz.logs.log_contents import LogContents, read_log
 from aero_viz.planners.observation import Observation
 from aero_viz.planners.plan import Plan
 from aero_viz.reader_process import Reader
@@ -49,6 +51,17 @@ def is_stream_recording(path: str | Path) -> bool:
     except Exception:  # a damaged file can fail anywhere in the decoders
         return False
     return False
+
+
+def recorded_config(path: str | Path) -> DroneConfig | None:
+    """Return the configuration with which a recording of `Recorder` begins, None if it has none.
+
+    Raises:
+        UserError: it is damaged.
+    """
+    contents = read_log(path)
+    versions = [int(name[7:-5]) for name in contents.attachments if re.fullmatch(r"config_\d+\.yaml", name)]
+    return contents.config(min(versions)) if versions else None
 
 
 class StreamReplay:
@@ -139,8 +152,11 @@ class StreamReplay:
             if len(plan.path) and plan.stamp in self._stamps
         ]
         configs = sum(name.startswith("config_") for name in contents.attachments)
-        text = f"The configuration was changed {configs - 1} times; it plays with the first one." if configs > 1 else ""
-        return plans, text
+        sentences = [
+            f"The configuration was changed {configs - 1} times; it plays with the first one." if configs > 1 else "",
+            f"It was planned with --seed {seed}." if (seed := _seed(contents)) else "",
+        ]
+        return plans, " ".join(filter(None, sentences))
 
     def _plan_at(self, time: float) -> RecordedPlan | None:
         row = bisect.bisect_right(self._plan_times, time + 1e-9) - 1
@@ -208,3 +224,11 @@ class StreamReplay:
         self._sweep.cache_clear()
         self._cloud.cache_clear()
         self._file.close()
+
+
+def _seed(contents: LogContents) -> int:
+    """Return the seed of the planner's noise, 0 if it is not known."""
+    try:
+        return int(parse_json(contents.attachments.get(SETTINGS, b"{}"))["seed"])
+    except (KeyError, TypeError, ValueError):
+        return 0

@@ -11,7 +11,7 @@ import pytest
 
 from aero_viz.catalog import open_source
 from aero_viz.errors import UserError
-from aero_viz.live.replay import is_stream_recording
+from aero_viz.live.replay import is_stream_recording, recorded_config
 from aero_viz.live.session import StreamSession
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.storage import open_storage
@@ -100,6 +100,20 @@ def test_a_recording_holds_the_messages_as_they_came(corridor: Corridor, open_se
     assert counts["/points"] == corridor.stream.topics["/points"].count
     assert counts["/odometry"] == corridor.stream.topics["/odometry"].count
     assert counts["/aero_viz/tick"] == counts["/plan"] == 8
+
+
+def test_a_recording_plays_with_its_first_configuration(corridor: Corridor, open_session: Open, tmp_path: Path):
+    session = open_session()
+    first = session.configure({"costs.q_position": 9.0})
+    session.record(tmp_path / "live.mcap").result()
+    ticks_of(session, corridor, 2)
+    session.configure({"costs.q_position": 4.0})
+    ticks_of(session, corridor, 2)
+    session.stop_recording().result()
+    assert recorded_config(tmp_path / "live.mcap") == first
+    source = open_source(str(tmp_path / "live.mcap"))
+    assert any("changed 1 times; it plays with the first one" in notice for notice in source.info.notices)
+    source.close()
 
 
 def test_only_one_file_is_recorded(corridor: Corridor, open_session: Open, tmp_path: Path):

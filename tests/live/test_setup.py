@@ -29,7 +29,7 @@ def test_faults_are_those_of_inspect(corridor: Corridor):
     # A bracket that the sensor sees moves with the body.
     for _ in range(60):
         seen = walls(300) - corridor.place(corridor.now).astype(np.float32)
-        bracket = np.tile(np.float32([0.3, 0.1, -0.1]), (50, 1))
+        bracket = np.full((50, 3), (0.3, 0.1, -0.1), np.float32)
         corridor.pose()
         corridor.cloud(np.concatenate([seen, bracket]))
         corridor.now += 100_000_000
