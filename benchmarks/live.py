@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from aero_planner.cli_util import run_command
 from aero_viz.live.session import StreamSession
@@ -65,6 +66,7 @@ def measure(*, seconds: float, points: int, rate: float, device: str, page: bool
             ticks.append(time.monotonic())
             delays.setdefault(tick.stamp, 1e3 * (time.time() - 1e-9 * tick.stamp))
 
+        before = psutil.Process().memory_info().rss
         session.tick()  # compiles what is new to this machine
         session.subscribe_ticks(take, name="benchmark")
         session.start()
@@ -78,6 +80,7 @@ def measure(*, seconds: float, points: int, rate: float, device: str, page: bool
             "clouds_received": stream.topics["/points"].count,
             "clouds_left_out": sum(stream.topics["/points"].unused.values()),
             "plans_per_second": len(ticks) / (ticks[-1] - ticks[0]),
+            "memory_growth_mb": round((psutil.Process().memory_info().rss - before) / 1e6),
             "stamp_to_plan_ms": _quantiles(list(delays.values())[1:]),
         }
         if page:

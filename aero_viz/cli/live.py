@@ -88,6 +88,7 @@ def live(
         page_flags: The page.
         config_flags: The planner's configuration.
     """
+    from aero_viz.live.odometry import TOPIC as ODOMETRY_TOPIC
     from aero_viz.live.setup import Wanted
 
     page_flags.refuse(besides=WATCHING, advice="the page of a live stream opens no files: leave it out")
@@ -103,7 +104,7 @@ def live(
     place, goal_topic = _goal(goal)
     check_output_files(record, overwrite=overwrite, inputs=[pcap_replay or "", config_flags.config])
     config = config_flags.load()
-    wanted = Wanted(points, None if method else odometry, extrinsic, mask, frame)
+    wanted = Wanted(points, ODOMETRY_TOPIC if method else odometry, extrinsic, mask, frame)
     with contextlib.ExitStack() as stack:
         if livox is not None or pcap_replay is not None:
             if list_topics or domain is not None:
@@ -285,7 +286,7 @@ def _choose_candidates(
 
     def found() -> bool:
         kinds = feed.candidates()
-        named = [name for name in (wanted.points, wanted.odometry) if name is not None]
+        named = [name for name in (wanted.points, None if method else wanted.odometry) if name is not None]
         return shutdown.is_set() or (any(k in CLOUD_TYPES for k in kinds.values()) and all(n in kinds for n in named))
 
     _wait(found, _DISCOVERY)
@@ -294,7 +295,7 @@ def _choose_candidates(
     chosen: dict[str, str] = {}
     for name, kind in feed.candidates().items():
         is_cloud = kind in CLOUD_TYPES and wanted.points in (None, name)
-        is_pose = kind in POSE_TYPES and wanted.odometry in (None, name) and method is None and name != _GOAL_TOPIC
+        is_pose = kind in POSE_TYPES and wanted.odometry in (None, name) and name != _GOAL_TOPIC
         is_imu = kind == IMU_TYPE and method == "rko-lio" and imu in (None, name)
         if is_cloud or is_pose or is_imu or kind in (*TF_TYPES, CAMERA_INFO):
             chosen[name] = kind

@@ -17,7 +17,7 @@ from aero_viz.recordings.recording import PointSweep
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
 from aero_viz.recordings.transforms import IDENTITY
 
-TOPIC = "/odometry"
+TOPIC = "/aero_viz/odometry"
 """Topic of the estimated poses."""
 _WORLD = "odom"
 _LATE = 3

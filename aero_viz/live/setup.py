@@ -15,7 +15,7 @@ from aero_viz.recordings.choices import Choices, CloudFrame
 from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.depth_image import Intrinsics
 from aero_viz.recordings.finding import Finding
-from aero_viz.recordings.findings import Measured, find_faults, measure
+from aero_viz.recordings.findings import Measured, check_twists, find_faults, measure
 from aero_viz.recordings.opening import configure_recording
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import TF_TYPES
@@ -118,7 +118,7 @@ def _setup(recording: Recording, transforms: TransformTree, wanted: Wanted, find
     axes = None if source is None else other_axes(source.body)
     twist: Literal["body", "world", "none"] = "none"
     if poses is not None and poses.measured_velocity:
-        twist = "world" if any(finding.code == "twist-frame" for finding in findings) else "body"
+        twist = "world" if any(finding.code == "twist-frame" for finding in check_twists(poses)) else "body"
     offset = np.zeros(3) if poses is None or np.linalg.norm(poses.offset) < _FAR else poses.offset
     used = [recording.points_topic, *([source.topic] if source else [])]
     setup = Setup(

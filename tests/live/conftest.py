@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aero_planner.onboard.ros_messages import pose_messages
 from aero_planner.plan import VehicleState
+from aero_planner.quaternions import conjugate, rotate
 from aero_viz.live.session import StreamSession
 from aero_viz.live.setup import Wanted, find_setup
 from aero_viz.live.source import StreamSource
@@ -42,20 +43,38 @@ class Corridor:
     offset: int = 0
     """Difference of the stamps from the arrivals [ns]."""
     start: int = 0
+    yaw: float = 0.0
+    """Heading of the body [rad]; it flies along x."""
+    twist_in_world: bool = False
+    """True writes the velocity in the world frame, which is wrong."""
+    tf: bool = False
+    """True writes the poses as transforms."""
+
+    @property
+    def quaternion(self) -> NDArray[np.float64]:
+        return np.array([np.cos(self.yaw / 2), 0.0, 0.0, np.sin(self.yaw / 2)])
 
     def place(self, time: int) -> NDArray[np.float64]:
         return np.array([SPEED * 1e-9 * (time - self.start), 0.0, 1.5])
 
     def pose(self) -> None:
-        state = VehicleState(self.place(self.now), (SPEED, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        message = next(iter(pose_messages(state, self.now + self.offset)))
-        self.stream.add("/odometry", ODOMETRY, message.data, time=self.now)
+        velocity = np.array([SPEED, 0.0, 0.0])
+        if self.twist_in_world:
+            velocity = rotate(self.quaternion, velocity)
+        state = VehicleState(self.place(self.now), velocity, self.quaternion)
+        odometry, transform = pose_messages(state, self.now + self.offset)
+        message, topic = (transform, "/tf") if self.tf else (odometry, "/odometry")
+        self.stream.add(topic, message.kind, message.data, time=self.now)
 
     def cloud(self, points: NDArray[np.float32] | None = None, *, ahead: int = 0, topic: str = "/points") -> None:
         """Add a cloud; its stamp is `ahead` [ns] of what it should be."""
-        seen = walls() - self.place(self.now).astype(np.float32) if points is None else points
+        seen = self.seen(walls()) if points is None else points
         data = encode_point_cloud2(seen, self.now + self.offset + ahead, "body")
         self.stream.add(topic, POINT_CLOUD2, data, time=self.now)
+
+    def seen(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return points of the world frame in that of the sensor."""
+        return rotate(conjugate(self.quaternion), points - self.place(self.now)).astype(np.float32)
 
     def fly(self, seconds: float) -> None:
         """Add what arrives within a time [s]."""
