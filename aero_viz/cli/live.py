@@ -61,9 +61,10 @@ def live(
     page_flags: Inline[PageFlags] = _PAGE,
     config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
-    """Plan live, in open loop, on the topics of a running ROS 2 system, on a sensor, or on a capture.
+    """Plan live on the topics of ROS 2, on a sensor, or on a capture.
 
-    Without flags, it lists the graph, takes its clouds and its odometry, and says what it assumes about them.
+    Plans are shown and not flown. Without flags, it lists the graph, takes its clouds and its odometry, and says what
+    it assumes about them.
 
     Args:
         points: Topic of the clouds: PointCloud2, CustomMsg, LaserScan or a depth image. By default it is found.
