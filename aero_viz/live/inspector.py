@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from concurrent.futures import CancelledError
 from dataclasses import replace
 
 from aero_planner.mailbox import lower_thread_priority
@@ -15,6 +16,9 @@ _log = logging.getLogger(__name__)
 
 _FIRST, _PERIOD = 8.0, 30.0
 """Time until the first look, and between two [s]: one takes seconds of a processor."""
+
+_CLOSE_TIMEOUT = 5.0
+"""Longest wait for a look that has begun [s]."""
 
 
 class Inspector:
@@ -42,8 +46,8 @@ class Inspector:
             delay = self._period
             try:
                 self.look()
-            except UserError:
-                continue  # the stream is silent, which the session says
+            except (UserError, CancelledError):
+                continue  # the stream is silent, which the session says, or the session is closed
             except Exception:
                 _log.exception("the stream cannot be inspected")
 
@@ -70,4 +74,4 @@ class Inspector:
     def close(self) -> None:
         """Look no more."""
         self._closed.set()
-        self._thread.join()
+        self._thread.join(_CLOSE_TIMEOUT)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
@@ -248,6 +249,7 @@ class StreamSession(Session):
             self._report(error)
 
     def close(self) -> None:
-        self._post(self._finish_recording)
+        with contextlib.suppress(CancelledError):  # it was closed before
+            self.stop_recording().result()
         self._ticks.close()
         super().close()

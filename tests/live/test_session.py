@@ -14,6 +14,7 @@ from aero_viz.errors import UserError
 from aero_viz.live.replay import is_stream_recording, recorded_config
 from aero_viz.live.session import StreamSession
 from aero_viz.recordings.contents import read_contents
+from aero_viz.recordings.mcap_file import MCAP_MAGIC
 from aero_viz.recordings.storage import open_storage
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
@@ -114,6 +115,20 @@ def test_a_recording_plays_with_its_first_configuration(corridor: Corridor, open
     source = open_source(str(tmp_path / "live.mcap"))
     assert any("changed 1 times; it plays with the first one" in notice for notice in source.info.notices)
     source.close()
+
+
+def test_closing_the_session_finishes_the_recording(corridor: Corridor, open_session: Open, tmp_path: Path):
+    session = open_session(rate=50.0)
+    session.start()
+    session.record(tmp_path / "live.mcap").result()
+    recorder = session.recorder
+    deadline = time.monotonic() + 60.0
+    while recorder is not None and recorder.ticks < 3:
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    session.close()
+    session.close()
+    assert (tmp_path / "live.mcap").read_bytes().endswith(MCAP_MAGIC)
 
 
 def test_only_one_file_is_recorded(corridor: Corridor, open_session: Open, tmp_path: Path):

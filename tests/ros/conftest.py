@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import random
 import subprocess
@@ -11,11 +12,10 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-pytest.importorskip("rclpy", reason="the extra 'ros' is not installed; its wheels are for x86-64")
-if os.environ.get("CI") == "true":
-    import rclpy  # noqa: F401  # in CI the absence of ROS is a failure
-
 from aero_viz.ros.graph import Graph
+
+if importlib.util.find_spec("rclpy") is None and os.environ.get("CI") != "true":
+    collect_ignore_glob = ["test_*.py"]  # there are no wheels of ROS 2 for this machine
 
 Start = Callable[..., subprocess.Popen[str]]
 
