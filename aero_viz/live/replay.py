@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner import Arrival, Goal, PlanStatus, Sweeps, VehicleState
 from aero_planner.config import DroneConfig
 from aero_planner.sweeps import as_constant
-from aero_planner.user_file import open_user_file, parse_json
+from aero_planner.user_file import parse_json
 from aero_viz.errors import UserError
 from aero_viz.live.record import SETTINGS, SWEEP_TOPIC, TICK, TICK_TOPIC, TickRecord, decode_tick
-from aero_viz.logs.log_contents import LogContents, read_log
+from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
 from aero_viz.planners.observation import Observation
 from aero_viz.planners.plan import Plan
 from aero_viz.reader_process import Reader
 from aero_viz.recordings.bag_file import ChunkPosition
-from aero_viz.recordings.mcap_file import MCAP_MAGIC, McapFile
+from aero_viz.recordings.mcap_file import McapFile
 from aero_viz.recordings.point_cloud2 import read_point_cloud2
 from aero_viz.recordings.source import checked_goal
 from aero_viz.recordings.storage import readable
@@ -34,20 +34,15 @@ _PROBED = 4096
 
 def is_stream_recording(path: str | Path) -> bool:
     """Return True for an MCAP file of `Recorder`. It may be cut off."""
-    path = Path(path)
-    if not path.is_file():
+    if not is_flight_log(path):  # which knows most other files by their summaries
         return False
     try:
-        with open_user_file(path) as file:
-            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                return False
-        with contextlib.closing(McapFile(path)) as recording:
-            for number, message in enumerate(recording.scan(())):
-                names = {channel.topic for channel in recording.channels.values()}
-                if message.channel.topic == TICK_TOPIC or names >= {TICK_TOPIC, SWEEP_TOPIC}:
+        with contextlib.closing(McapFile(Path(path))) as recording:
+            for number, _ in enumerate(recording.scan(())):
+                if any(channel.topic == TICK_TOPIC for channel in recording.channels.values()):
                     return True
                 if number > _PROBED:
-                    return False
+                    break
     except Exception:  # a damaged file can fail anywhere in the decoders
         return False
     return False
