@@ -48,13 +48,19 @@ def is_stream_recording(path: str | Path) -> bool:
     return False
 
 
+@lru_cache(maxsize=1)
+def _contents(path: str, changed: int) -> LogContents:
+    """Return what a recording holds besides its inputs; `play` asks twice, and each time takes a process."""
+    return read_log(path)
+
+
 def recorded_config(path: str | Path) -> DroneConfig | None:
     """Return the configuration with which a recording of `Recorder` begins, None if it has none.
 
     Raises:
         UserError: it is damaged.
     """
-    contents = read_log(path)
+    contents = _contents(str(path), Path(path).stat().st_mtime_ns)
     versions = [int(name[7:-5]) for name in contents.attachments if re.fullmatch(r"config_\d+\.yaml", name)]
     return contents.config(min(versions)) if versions else None
 
@@ -130,7 +136,7 @@ class StreamReplay:
     def _read_plans(self, path: Path, read: Reader | None) -> tuple[list[RecordedPlan], str]:
         """Return the recorded plans, and a sentence if they cannot be read."""
         try:
-            contents = read_log(path, read)
+            contents = read_log(path, read) if read else _contents(str(path), path.stat().st_mtime_ns)
         except UserError as error:
             return [], str(error)
         plans = [
