@@ -198,6 +198,7 @@ def open_source(
         # The configuration is not known yet: refuse only what no configuration can reach.
         refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
         return FlightSource(world, seed=seed, device=device, **options)
+    from aero_viz.live.replay import StreamReplay, is_stream_recording
     from aero_viz.logs.log_contents import is_flight_log
     from aero_viz.logs.replay import FlightReplay
     from aero_viz.recordings import RecordingSource, open_recording
@@ -205,6 +206,9 @@ def open_source(
 
     refuse_irregular(spec)
     topics = {"points_topic": points_topic, "pose_topic": pose_topic}
+    settled = {**topics, **recording_options, "progress": None}
+    if is_stream_recording(spec) and all(value in (None, "none", "auto") for value in settled.values()):
+        return StreamReplay(spec, read=None if read is read_here else read)
     if read is read_here or recording_options:
         recording = open_recording(spec, **{**topics, **recording_options})
     else:

@@ -111,6 +111,7 @@ def test_the_core_is_enough(tmp_path: Path, arguments: list[str]):
         ("pictures", ["snapshot", "forest", "picture.png"]),
         ("tune", ["tune", "forest", "--over", "costs.q_track"]),
         ("ray", ["bench", "success", "--flights", "1", "--ray"]),
+        ("ros", ["live"]),
         ("odometry", ["play", str(ROOT / "aero_viz" / "datasets" / "room_mid360.mcap"), "--odometry", "kiss-icp"]),
     ],
 )

@@ -32,6 +32,7 @@ _SHIPPED: dict[str, Command | str] = {
     "demo": _command("page", "demo", "Fly a synthetic scene live in the browser."),
     "play": _command("page", "play", "Run the planner on a recording, open loop, live in the browser."),
     "connect": _command("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
+    "live": _command("live", "live", "Plan live on the topics of ROS 2, on a sensor, or on a capture."),
     "inspect": _command("recordings", "inspect", "Show what a recording contains and which parts can be played."),
     "compare": _command("compare", "compare", "Compare two flight logs: figures, parameters and conditions."),
     "convert": _command("recordings", "convert", "Write a recording, or a part of it, as ROS 2 MCAP."),

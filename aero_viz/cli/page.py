@@ -127,6 +127,7 @@ def play(
         config_flags: The planner's configuration.
     """
     from aero_viz.catalog import open_source, shipped_recordings
+    from aero_viz.live.replay import is_stream_recording, recorded_config
     from aero_viz.recordings import open_recording
     from aero_viz.scenes import SCENES
     from aero_viz.scenes.map_files import MESH_SUFFIXES
@@ -156,7 +157,10 @@ def play(
                 read=read,
             )
 
-    serve(recording, opener, config_flags.load(), page_flags, seed=seed, device=device, study=study_flags)
+    config = config_flags.load()
+    if config == ConfigFlags().load() and is_stream_recording(recording):
+        config = recorded_config(recording) or config  # the same plans come of it
+    serve(recording, opener, config, page_flags, seed=seed, device=device, study=study_flags)
 
 
 def connect(

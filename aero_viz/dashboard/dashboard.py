@@ -29,6 +29,7 @@ from aero_viz.dashboard.layers import (
 from aero_viz.dashboard.panels import Page, Panel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.layout import Offer, build
+from aero_viz.dashboard.panels.live import LiveOffer
 from aero_viz.dashboard.panels.share import Files
 from aero_viz.dashboard.server import LocalServer, notify
 from aero_viz.dashboard.update_rate import UpdateRateLimiter
@@ -62,6 +63,7 @@ class Dashboard:
         history: keeps what the curves show; None keeps the ticks of the session, the newest 30 000.
         files: writes the flight to files for visitors, such as `aero_viz.dashboard.share.FlightFiles()`; None does not.
         study: study of `aero-viz tune` to show, as a tab.
+        live: what the tab of a live stream offers; None for another session.
         server: web server to use; None starts one with `host`, `port` and `allowed_hosts`, which are ignored otherwise.
         drawn: layers that the server shows already, see `show_first_picture`.
 
@@ -88,6 +90,7 @@ class Dashboard:
         history: FlightHistory | None = None,
         files: Files | None = None,
         study: Study | None = None,
+        live: LiveOffer | None = None,
         server: LocalServer | None = None,
         drawn: Sequence[Layer] = (),
     ) -> None:
@@ -122,7 +125,7 @@ class Dashboard:
             self.layers = {layer.name: layer for layer in made if layer is not None}
             self._page = Page(self.server, session, self.layers, self.history, self.refresh)
             if panels:
-                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study)
+                offer = Offer(open_source, choices, seed, Folders(folders), opened, conditions, files, study, live)
                 self._camera, self.panels = build(self._page, offer)
             else:
                 self._camera = CameraPanel(self._page)

@@ -118,7 +118,7 @@ def find_faults(recording: Recording) -> list[Finding]:
     if poses is None or recording.pose_origin == "odometry":
         return found
     found += _jumps(poses)
-    found += _twists(poses)
+    found += check_twists(poses)
     found += _airframe(recording, poses)
     frame = check_cloud_frame(recording, poses)
     fixed = [] if frame is None else [frame]
@@ -207,7 +207,8 @@ def _jumps(poses: RecordedPoses) -> Iterator[Finding]:
         )
 
 
-def _twists(poses: RecordedPoses) -> Iterator[Finding]:
+def check_twists(poses: RecordedPoses) -> Iterator[Finding]:
+    """Yield what is wrong with the recorded velocities."""
     twists = poses.twists
     if twists is None or not np.isfinite(twists).all():
         return

@@ -7,6 +7,7 @@ import contextlib
 import os
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -113,8 +114,8 @@ def estimate_motion(
     Raises:
         UserError: the library is not installed, or it failed on nearly all sweeps.
     """
-    level = _level(imu, imu_mount, start)
-    register = (_RkoLio(imu, imu_mount, level, start) if imu else None) if method == "rko-lio" else _KissIcp(level)
+    level = level_of(imu, imu_mount, start)
+    register = (RkoLio(imu, imu_mount, level, start) if imu else None) if method == "rko-lio" else KissIcp(level)
     assert register is not None
     times: list[float] = []
     matrices: list[NDArray[np.float64]] = []
@@ -126,7 +127,7 @@ def estimate_motion(
         with _silent_stdout():
             matrix = register(sweep) if len(sweep.points) else None
         ms.append(1e3 * (time.perf_counter() - began))
-        posed = _time_in_sweep(sweep, register.posed_at)
+        posed = time_in_sweep(sweep, register.posed_at)
         if matrix is not None and np.isfinite(matrix).all() and (not times or posed > times[-1]):
             times.append(posed)
             matrices.append(matrix)
@@ -150,7 +151,7 @@ def estimate_motion(
     return motion._replace(problems=tuple(problems))
 
 
-def _time_in_sweep(sweep: PointSweep, share: float) -> float:
+def time_in_sweep(sweep: PointSweep, share: float) -> float:
     """Return the time at which a share of a sweep was measured [s]."""
     if sweep.point_times is None:
         return sweep.time
@@ -158,7 +159,7 @@ def _time_in_sweep(sweep: PointSweep, share: float) -> float:
     return sweep.time + (1.0 - share) * first + share * last
 
 
-class _KissIcp:
+class KissIcp:
     """Registers sweeps by kiss-icp, which predicts a constant velocity.
 
     It would correct the motion during a sweep by that of the sweep before. For a drone that accelerates, this
@@ -183,12 +184,12 @@ class _KissIcp:
         return self._level @ self._kiss.last_pose
 
 
-class _RkoLio:
+class RkoLio:
     """Registers sweeps by rko-lio, which predicts the motion from an IMU."""
 
     posed_at = 1.0
 
-    def __init__(self, imu: ImuSamples, mount: Transform, level: NDArray[np.float64], start: int) -> None:
+    def __init__(self, imu: ImuSamples | None, mount: Transform, level: NDArray[np.float64], start: int) -> None:
         with from_extra("odometry", "Poses from the sweeps (--odometry)"):
             from rko_lio.lio import LIO, LIOConfig
             from rko_lio.rko_lio_pybind import InputError
@@ -196,19 +197,25 @@ class _RkoLio:
         config = LIOConfig(min_range=_MIN_RANGE, max_range=_MAX_RANGE, voxel_size=_RKO_VOXEL)
         config.max_correspondence_distance, config.max_expected_jerk = _RKO_DISTANCE, _RKO_JERK
         self._lio, self._failure = LIO(config), InputError
-        self._imu, self._start, self._next = imu, start, 0
+        self._samples: deque[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = deque()
+        self._start = start
+        if imu is not None:
+            self.add_imu(imu)
         # Its own search for gravity needs a drone at rest. Here the base is level at the start, so that none is needed.
         self._level, self._mount = level, level @ matrix_of(*mount)
+
+    def add_imu(self, imu: ImuSamples) -> None:
+        """Add samples, which are later than those before."""
+        self._samples.extend(zip(imu.times.tolist(), imu.forces, imu.rates, strict=True))
 
     def __call__(self, sweep: PointSweep) -> NDArray[np.float64] | None:
         """Return the pose of the body at the end of a sweep, [4, 4], None if it could not be registered."""
         assert sweep.point_times is not None
         stamps = self._start + np.round(1e9 * (sweep.time + sweep.point_times.astype(np.float64))).astype(np.int64)
-        end, imu = int(stamps.max()), self._imu
-        while self._next < len(imu.times) and imu.times[self._next] <= end:
-            i = self._next
-            self._lio.add_imu_measurement(imu.forces[i], imu.rates[i], int(imu.times[i]), self._mount)
-            self._next += 1
+        end = int(stamps.max())
+        while self._samples and self._samples[0][0] <= end:
+            time, force, rate = self._samples.popleft()
+            self._lio.add_imu_measurement(force, rate, time, self._mount)
         try:
             self._lio.register_scan(sweep.points, stamps, self._level)
         except self._failure:
@@ -241,7 +248,7 @@ def _silence_exit() -> None:
     atexit.register(discard)
 
 
-def _level(imu: ImuSamples | None, mount: Transform, start: int) -> NDArray[np.float64]:
+def level_of(imu: ImuSamples | None, mount: Transform, start: int) -> NDArray[np.float64]:
     """Return the rotation [4, 4] of the body at the start to a frame with z up, the identity without an IMU."""
     matrix = np.eye(4)
     if imu is None:

@@ -20,6 +20,7 @@ from aero_viz.recordings.choices import CloudFrame
 from aero_viz.recordings.clocks import find_clock_fault
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.contents import CloudEntry, Contents
+from aero_viz.recordings.depth_image import Intrinsics
 from aero_viz.recordings.finding import Finding
 from aero_viz.recordings.point_cloud2 import DecodedPoints, RawCloud, common_time_unit, decode_points
 from aero_viz.recordings.poses import RecordedPoses
@@ -75,7 +76,7 @@ class Recording:
         cloud, notice = choose_cloud_topic(contents, points_topic)
         self.problems += [notice] if notice else []
         self.points_topic = cloud.name
-        self._type, self._encoding = cloud.type, cloud.encoding
+        self.points_type, self._encoding = cloud.type, cloud.encoding
         clouds = [entry for entry in cloud.clouds if entry.count]
         entries = sorted(self._of_one_sensor(clouds, contents, storage.choices.sensor), key=lambda entry: entry.time)
         if not entries:
@@ -90,10 +91,11 @@ class Recording:
         self.damaged_sweeps: set[int] = set()
         """Playable sweeps that turned out to be unreadable. They play as sweeps without points."""
         period = float(np.median(np.diff(self.sweep_times))) if len(self.sweep_times) > 1 else None
-        self._time_unit = common_time_unit(self._sampled_clouds(), period)
-        if self._time_unit is not None and self._time_unit not in UNITS:
+        self.time_unit = common_time_unit(self._sampled_clouds(), period)
+        """Unit of the times of points [s], None where they have none."""
+        if self.time_unit is not None and self.time_unit not in UNITS:
             self.problems.append(
-                f"the times of points run from 0 to 1 and are taken for shares of a sweep of {self._time_unit:.3g} s"
+                f"the times of points run from 0 to 1 and are taken for shares of a sweep of {self.time_unit:.3g} s"
             )
         self._cached_sweep = lru_cache(maxsize=_CACHED_SWEEPS)(self._read_sweep)
         if not self._has_valid_point():
@@ -143,7 +145,12 @@ class Recording:
         """Stamp of the first playable sweep [ns]."""
         self.cloud_frame = entries[0].frame
         """Frame of the clouds. Those of other frames on the topic are moved to it."""
-        self._frames = self._join_frames(contents)
+        self.other_frames = self._join_frames(contents)
+        """Poses of other frames on the topic in `cloud_frame`, by name."""
+        self.is_stamped = stamped
+        """True if times are those of the stamps, False if they are those of recording."""
+        self.pose_source = source
+        """Recorded poses as they were chosen, None if there are none."""
         self.pose_topic = source.topic if source else None
         self.pose_origin: Literal["", "recording", "file", "odometry"] = "recording" if source else ""
         """Origin of the poses; empty if there are none."""
@@ -215,7 +222,7 @@ class Recording:
                 yield self._read_cloud(self._entries[index])
 
     def _read_cloud(self, entry: CloudEntry) -> RawCloud:
-        return read_cloud(entry.file.read(entry.position), self._type, self._encoding, entry.camera)
+        return read_cloud(entry.file.read(entry.position), self.points_type, self._encoding, entry.camera)
 
     def _has_valid_point(self) -> bool:
         """Return False if none of the sweeps has a valid point; True also where finding out would take too long."""
@@ -269,6 +276,11 @@ class Recording:
         return known if len(set(known)) == len(numbers) else None
 
     @property
+    def camera(self) -> Intrinsics | None:
+        """Intrinsics of the camera of depth images."""
+        return self._entries[0].camera
+
+    @property
     def is_in_world(self) -> bool:
         """True if the clouds were recorded in the frame of the world, and are moved to the body by the poses."""
         return self._registered is not None
@@ -277,7 +289,7 @@ class Recording:
     def changes(self) -> tuple[bytes, ...]:
         """The mounting and the mask, for comparisons."""
         mask = b"" if self._mask is None else self._mask.tobytes()
-        poses = (self.extrinsic, *self._frames.values())
+        poses = (self.extrinsic, *self.other_frames.values())
         return *(values.tobytes() for pose in poses for values in pose), mask
 
     @property
@@ -297,14 +309,14 @@ class Recording:
         pose = None if self._registered is None else self._registered.interpolate(self.sweep_times[index])
         origin = None if self._registered is None or pose is None else self._registered.offset + pose.position
         try:
-            decoded = decode_points(self._read_cloud(entry), unit=self._time_unit, origin=origin)
+            decoded = decode_points(self._read_cloud(entry), unit=self.time_unit, origin=origin)
         except Exception:  # decompressors and SQLite fail in many ways; one bad sweep must not end the playback
             decoded = DecodedPoints(np.empty((0, 3), np.float32), None, entry.count)
             self.damaged_sweeps.add(index)
         self._prefetch(index + 1)
         points, times = decoded.points, decoded.times
-        if entry.frame in self._frames:
-            points = _moved(points, self._frames[entry.frame])
+        if entry.frame in self.other_frames:
+            points = _moved(points, self.other_frames[entry.frame])
         if pose is not None:  # whoever moved the points to the world corrected their motion
             points, times = (points @ rotation_matrix(pose.quaternion)).astype(np.float32), None
         if self.extrinsic is not IDENTITY:

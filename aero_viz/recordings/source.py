@@ -173,13 +173,7 @@ class RecordingSource:
 
     def set_goal(self, position: ArrayLike | None) -> None:
         """Fix the goal at `position` [3] [m], world frame. None moves it along the recorded path again."""
-        if position is None:
-            self._goal = None
-            return
-        goal = np.array(position, np.float64)
-        if goal.shape != (3,) or not np.isfinite(goal).all():
-            raise UserError(f"A goal is three finite numbers [m], not {position}.")
-        self._goal = goal
+        self._goal = None if position is None else checked_goal(position)
 
     def close(self) -> None:
         """Close the recording."""
@@ -249,3 +243,11 @@ class RecordingSource:
                 return points
         pose = poses.interpolate(sweep.time)
         return sweep.points @ rotation_matrix(pose.quaternion).T.astype(np.float32) + pose.position.astype(np.float32)
+
+
+def checked_goal(position: ArrayLike) -> NDArray[np.float64]:
+    """Return a goal [m], shape [3]; UserError unless it is three finite numbers."""
+    goal = np.array(position, np.float64)
+    if goal.shape != (3,) or not np.isfinite(goal).all():
+        raise UserError(f"A goal is three finite numbers [m], not {position}.")
+    return goal

@@ -67,6 +67,10 @@ class PoseSource(NamedTuple):
     """Notice for the user about the extrinsic; empty if there is nothing to say."""
     in_world: bool = False
     """True if the clouds are in the frame that the poses are in."""
+    world: str = ""
+    """Frame that the poses are in; empty where it is not known."""
+    type: str = ""
+    """Type of the messages."""
 
 
 class _Track(NamedTuple):
@@ -256,7 +260,8 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
         poses, notice = _without_outliers(name, np.asarray((body.times - start) * 1e-9, np.float64), *body.poses)
         in_world = _IN_WORLD.format(frame=frame, topic=name) if body.in_world else ""
         text = "; ".join(filter(None, (notice, in_world)))
-        return PoseSource(name, poses, body.extrinsic, body.frame, True, text, body.in_world)
+        frames = (body.in_world, body.world, track.topic.type)
+        return PoseSource(name, poses, body.extrinsic, body.frame, True, text, *frames)
     rows = track.samples.rows()
     times = np.asarray((track.samples.times(stamped=stamped) - start) * 1e-9, np.float64)
     poses, outliers = _without_outliers(name, times, rows[:, :3], rows[:, 3:7], rows[:, 7:])
@@ -277,8 +282,8 @@ def _read_poses(contents: Contents, track: _Track, frame: str, start: int, *, st
                 f"poses on {name} are those of {body!r}, clouds are in {frame!r}, and no static transform joins the "
                 "two: they are assumed to be the same frame"
             )
-    notices = filter(None, (_other_tracks(track), outliers, notice))
-    return PoseSource(name, poses, extrinsic, body, is_joined, "; ".join(notices), in_world)
+    text = "; ".join(filter(None, (_other_tracks(track), outliers, notice)))
+    return PoseSource(name, poses, extrinsic, body, is_joined, text, in_world, track.parent, track.topic.type)
 
 
 def _other_tracks(track: _Track) -> str:

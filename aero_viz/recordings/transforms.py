@@ -40,6 +40,8 @@ class MovingBody(NamedTuple):
     """Poses of the body in the fixed frame."""
     frame: str
     """Name of the body's frame."""
+    world: str
+    """Name of the fixed frame."""
     in_world: bool = False
     """True if the clouds are in the fixed frame."""
 
@@ -143,16 +145,24 @@ class TransformTree:
         The static edges next to the sensor are its extrinsic. The first moving edge moves the body. A frame of the
         world carries no sensor; the body is then the first one that moves in it.
         """
+        edges, extrinsic = self.moving_edges(frame)
+        if not edges:
+            return None
+        followed = self._follow(edges, stamped=stamped)
+        return MovingBody(extrinsic, *followed, edges[0][1], edges[-1][0], in_world=frame in FIXED_FRAMES)
+
+    def moving_edges(self, frame: str) -> tuple[list[tuple[str, str]], Transform]:
+        """Return the edges from the body that carries `frame` up to the fixed frame, and the pose of `frame` in it.
+
+        The list is empty if no transform moves the body.
+        """
         if frame in FIXED_FRAMES:
-            edges = self._edges_into(frame)
-            if not edges:
-                return None
-            return MovingBody(IDENTITY, *self._follow(edges, stamped=stamped), edges[0][1], in_world=True)
+            return self._edges_into(frame), IDENTITY
         edges, extrinsic = self.chain(frame), IDENTITY
         while edges and self.is_static(edges[0]):
             extrinsic = Transform(*compose_transforms(*self._constant(edges[0]), *extrinsic))
             edges = edges[1:]
-        return MovingBody(extrinsic, *self._follow(edges, stamped=stamped), edges[0][1]) if edges else None
+        return edges, extrinsic
 
     def _edges_into(self, world: str) -> list[tuple[str, str]]:
         """Return the edges from the busiest body that moves in a frame of the world up to that frame, if there is one.

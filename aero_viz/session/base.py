@@ -152,6 +152,11 @@ class BaseSession(ABC):
         return 1.0
 
     @property
+    def is_stream(self) -> bool:
+        """True if time goes on by itself, so that playback means to follow it."""
+        return False
+
+    @property
     def waiting_message(self) -> str:
         """Text for the user as long as there is no frame."""
         return "The first plan is being computed. Kernels that are new to this machine take a minute to compile."

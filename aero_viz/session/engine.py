@@ -58,7 +58,7 @@ class Engine:
         self.seed = seed
         """Seed of the planner's noise."""
         self._publish_frame = publish
-        self._timeline = Timeline()
+        self._timeline = self._new_timeline()
         self._tick_ends: deque[float] = deque(maxlen=200)
         self._epoch = 0
         self._is_gapless = True
@@ -225,8 +225,12 @@ class Engine:
     def _start_over(self) -> None:
         """Discard all checkpoints and the previous plan; the source's current tick becomes the first one."""
         self._planner.reset(seed=self.seed)
-        self._timeline, self._is_gapless = Timeline(), True
+        self._timeline, self._is_gapless = self._new_timeline(), True
         self._epoch += 1
+
+    def _new_timeline(self) -> Timeline:
+        kept = self.source.info.kept
+        return Timeline() if kept is None else Timeline(kept)
 
     def _return_to(self, checkpoint: Checkpoint) -> None:
         self.source.restore(checkpoint.source)

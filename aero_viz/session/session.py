@@ -44,12 +44,16 @@ class Session(BaseSession):
         seed: seed of the planner's noise.
     """
 
+    _engine_type: type[Engine] = Engine
+
     def __init__(
         self, source: Source, *, config: DroneConfig | None = None, device: str = "cpu", seed: int = 0
     ) -> None:
         self._configs = ConfigHistory(config or PlannerConfig())
         super().__init__()
-        self._engine = Engine(source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish)
+        self._engine = self._engine_type(
+            source, configs=self._configs, device=device, seed=seed, publish=self._frames.publish
+        )
         self.device = device
         self.comparison = Comparison(self._engine, device=device, config=lambda: self.config)
         """State of the comparison with a pinned configuration, A."""
@@ -386,7 +390,10 @@ class Session(BaseSession):
         if self._playing:
             self._keep_up()
             self._try_tick()
-            return
+        else:
+            self._work_on_comparison()
+
+    def _work_on_comparison(self) -> None:
         try:
             self.comparison.work()
         except Exception as error:

@@ -59,6 +59,8 @@ class SourceInfo:
     """Returns the plan that was flown at a time [s]; None if no plans are recorded."""
     notices: tuple[str, ...] = ()
     """Sentences for the user, such as "the plan is computed now, and is not flown"."""
+    kept: int | None = None
+    """Number of ticks of a live stream that can be returned to; None for a source that is not live."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Conditions that reproduce a flight, besides its world, goals and configurations; values that JSON can hold."""
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.config import DroneConfig
 
 _CAPACITY = 30_000
-"""Number of checkpoints kept: ten minutes of flight at 50 Hz."""
+"""Number of checkpoints kept by default: ten minutes of flight at 50 Hz."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,9 +31,13 @@ class Timeline:
     """Checkpoints of the ticks so far, with a cursor at the current one.
 
     Appending after an earlier tick discards the later ones.
+
+    Args:
+        capacity: number of ticks that are kept.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, capacity: int = _CAPACITY) -> None:
+        self._capacity = capacity
         self._checkpoints: list[Checkpoint] = []
         self._configs: list[DroneConfig | None] = []
         """Configuration with which each tick was planned last."""
@@ -42,8 +46,8 @@ class Timeline:
         self._positions = np.empty((1024, 3), dtype=np.float32)
         self._shared_rows = 0
 
-    def __bool__(self) -> bool:
-        return self._cursor >= 0
+    def __len__(self) -> int:
+        return len(self._checkpoints)
 
     @property
     def index(self) -> int:
@@ -70,7 +74,7 @@ class Timeline:
         del self._checkpoints[self._cursor + 1 :], self._configs[self._cursor + 1 :]
         self._checkpoints.append(checkpoint)
         self._configs.append(None)
-        if len(self._checkpoints) > _CAPACITY:
+        if len(self._checkpoints) > self._capacity:
             del self._checkpoints[0], self._configs[0]
             self._discarded += 1
         self._cursor = len(self._checkpoints) - 1

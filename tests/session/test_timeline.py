@@ -7,8 +7,8 @@ from aero_viz.session.timeline import Checkpoint, Timeline
 HISTORY = History({"tick": np.zeros(1, np.int32)})
 
 
-def flown(count: int) -> Timeline:
-    timeline = Timeline()
+def flown(count: int, **options: int) -> Timeline:
+    timeline = Timeline(**options)
     for i in range(count):
         timeline.append(Checkpoint(0.1 * i, i, HISTORY), (float(i), 0.0, 0.0))
     return timeline
@@ -45,9 +45,8 @@ def test_trails_are_read_only_and_survive_growth():
     np.testing.assert_array_equal(trail[:, 0], np.arange(3000))
 
 
-def test_the_oldest_ticks_are_discarded_beyond_the_capacity(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr("aero_viz.session.timeline._CAPACITY", 10)
-    timeline = flown(25)
+def test_the_oldest_ticks_are_discarded_beyond_the_capacity():
+    timeline = flown(25, capacity=10)
     assert timeline.index == 24
     assert timeline.time_range == (pytest.approx(1.5), pytest.approx(2.4))
     np.testing.assert_array_equal(timeline.trail()[:, 0], np.arange(25))

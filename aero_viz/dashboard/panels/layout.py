@@ -19,6 +19,7 @@ from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.health import HealthPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
+from aero_viz.dashboard.panels.live import LiveOffer, LivePanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.page_copy import PageCopies
@@ -37,6 +38,7 @@ from aero_viz.dashboard.panels.title import TitlePanel
 from aero_viz.dashboard.panels.visitors import VisitorPanel
 from aero_viz.dashboard.panels.why import WhyPanel
 from aero_viz.errors import UserError
+from aero_viz.live.session import StreamSession
 from aero_viz.registry import Registry
 from aero_viz.session.base import SessionControls
 from aero_viz.session.source import Conditions, Opener
@@ -55,6 +57,7 @@ class Offer:
     conditions: Conditions | None = None
     files: Files | None = None
     study: Study | None = None
+    live: LiveOffer | None = None
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,12 @@ def _fly(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
     return panels
 
 
+def _live(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
+    session, offer = desk.page.session, desk.offer.live
+    assert isinstance(session, StreamSession) and offer is not None
+    return [LivePanel(desk.page, session, offer)]
+
+
 def _world(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
     page, controls = desk.page, desk.controls
     obstacles = ObstaclePanel(page, controls, desk.open_tabs)
@@ -161,6 +170,7 @@ PANELS: Registry[Tab] = Registry(
     "aero_viz.panels",
     {
         "fly": Tab("Fly", viser.Icon.DRONE, _fly),
+        "live": Tab("Live", viser.Icon.ANTENNA, _live, lambda desk: desk.offer.live is not None),
         "world": Tab("World", viser.Icon.TREES, _world, _is_controlled),
         # The frames of a drone hold too little to explain them.
         "why": Tab("Why", viser.Icon.QUESTION_MARK, _why, _is_controlled),

@@ -26,16 +26,23 @@ class PlaybackPanel(Panel):
 
     def create(self, gui: viser.GuiApi) -> None:
         self._touched = Hold()
+        is_stream = self.session.is_stream
         hint = "Play or pause. Parameters change the plan while paused as well. Key: Space."
+        if is_stream:
+            hint = "Hold the picture, or return to the newest tick. The stream goes on meanwhile. Key: Space."
         # Two buttons of which one is visible: a click on one whose label changes would do the opposite of what the page
         # showed if the flight was paused, or ended, while the click was on its way.
         self.play_button = gui.add_button(
-            "Play", icon=viser.Icon.PLAYER_PLAY, color="green", hint=hint, visible=not self.session.playing
+            "Now" if is_stream else "Play",
+            icon=viser.Icon.PLAYER_PLAY,
+            color="green",
+            hint=hint,
+            visible=not self.session.playing,
         )
         self.pause_button = gui.add_button(
             "Pause", icon=viser.Icon.PLAYER_PAUSE, color="gray", hint=hint, visible=self.session.playing
         )
-        if self.session.controls is not None:
+        if self.session.controls is not None and not is_stream:
             self._add_restart(gui)
         self._steps = gui.add_button_group(
             "Step", ("-10", "-1", "+1", "+10"), hint="Pause and move by this many ticks."
@@ -44,7 +51,7 @@ class PlaybackPanel(Panel):
             "Time [s]", 0.0, 1.0, 0.01, 0.0,
             hint="Pause and go to this time [s]. A flight can continue differently from there.",
         )  # fmt: skip
-        if self.session.controls is not None:
+        if self.session.controls is not None and not is_stream:
             self._add_speed(gui, self.session.controls)
         self._waiting: tuple[float | None, int] = (None, 0)
         """The pending move: a time to go to [s] or None, and a number of ticks from there."""

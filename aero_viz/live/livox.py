@@ -1,0 +1,115 @@
+"""A Livox Mid-360 on the desk as a stream: its packets, by the parser of the node, as clouds of a tenth of a second."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aero_planner.onboard.host_clock import HostClock
+from aero_planner.onboard.livox import LivoxSource, parse_imu
+from aero_viz.errors import UserError
+from aero_viz.live.stream import Stream
+from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE, encode_imu
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
+
+POINTS_TOPIC, IMU_TOPIC = "/livox/lidar", "/livox/imu"
+"""Topics of the stream, named as by livox_ros_driver2."""
+FRAME = "livox_frame"
+_SWEEP = 0.1
+"""A Livox does not rotate: the points of this period form a sweep [s]."""
+_POLL = 0.005
+"""Time between two looks at the sockets [s]."""
+_DATAGRAM = 2048
+
+
+class LivoxFeed:
+    """Receives the packets of one sensor on a thread of its own.
+
+    Args:
+        stream: takes clouds, and samples of the sensor's IMU.
+        sensor: address of the sensor; None takes any.
+        port, imu_port: UDP ports of this computer; 0 selects free ones.
+
+    Raises:
+        UserError: a port is in use, by another driver for example, or the sensor's name has no address.
+    """
+
+    def __init__(self, stream: Stream, sensor: str | None, *, port: int = 56301, imu_port: int = 56401) -> None:
+        self._stream = stream
+        try:
+            self._source = LivoxSource(port, sensor=sensor, clock=lambda: 1e-9 * stream.clock.now())
+        except OSError as error:
+            raise UserError(
+                f"The packets of the Livox at {sensor} cannot be received on port {port}: {error.strerror or error}; "
+                "end the driver that holds the port, or read its topics instead: aero-viz live."
+            ) from error
+        self._imu = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._imu.setblocking(False)
+        with contextlib.suppress(OSError):  # without the IMU, the points are still of use
+            self._imu.bind(("0.0.0.0", imu_port))
+        self._imu_clock = HostClock()
+        self._sensor = sensor
+        self._points: list[tuple[NDArray[np.float32], NDArray[np.float64]]] = []
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="aero-viz-livox", daemon=True)
+        self._thread.start()
+
+    @property
+    def ports(self) -> tuple[int, int]:
+        """UDP ports of the points and of the IMU."""
+        return self._source.port, self._imu.getsockname()[1]
+
+    def _run(self) -> None:
+        while not self._closed.wait(_POLL):
+            for packet in self._source.poll():
+                if len(packet.points):
+                    self._points.append((packet.points, packet.times))
+            self._send_sweep()
+            self._send_imu()
+
+    def _send_sweep(self) -> None:
+        """Add a cloud once the points of a period have arrived."""
+        if not self._points or float(self._points[-1][1][-1]) - float(self._points[0][1][0]) < _SWEEP:
+            return
+        points, times = (np.concatenate(parts) for parts in zip(*self._points, strict=True))
+        self._points = []
+        order = np.argsort(times, kind="stable")
+        stamp = round(1e9 * float(times[order[0]]))
+        after = np.round(1e9 * (times[order] - times[order[0]])).astype(np.uint32)
+        self._stream.add(POINTS_TOPIC, POINT_CLOUD2, encode_point_cloud2(points[order], stamp, FRAME, times=after))
+
+    def _send_imu(self) -> None:
+        while True:
+            try:
+                data, address = self._imu.recvfrom(_DATAGRAM)
+            except OSError:
+                return
+            sample = parse_imu(data)
+            if sample is None or (self._sensor is not None and address[0] != socket.gethostbyname(self._sensor)):
+                continue
+            stamp = self._imu_clock.to_host(1e-9 * sample[0], 1e-9 * self._stream.clock.now())
+            if stamp is not None:
+                values = sample[1]
+                forces = [GRAVITY * value for value in values[3:]]
+                self._stream.add(IMU_TOPIC, IMU_TYPE, encode_imu(round(1e9 * stamp), FRAME, values[:3], forces))
+
+    def wait(self, timeout: float) -> bool:
+        """Return True once a cloud has arrived, False after `timeout` [s]."""
+        deadline = time.monotonic() + timeout
+        while POINTS_TOPIC not in self._stream.topics:
+            if time.monotonic() > deadline:
+                return False
+            time.sleep(_POLL)
+        return True
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._closed.set()
+        self._thread.join()
+        self._source.close()
+        self._imu.close()

@@ -1,0 +1,142 @@
+"""Poses for a stream without any: LiDAR odometry of every cloud as it arrives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from aero_planner.mailbox import Mailbox
+from aero_planner.onboard.ros_messages import ODOMETRY
+from aero_planner.quaternions import quaternion_of_matrix
+from aero_viz.live.stream import LiveMessage, Stream
+from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.imu import ImuSamples
+from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
+from aero_viz.recordings.odometry import KissIcp, RkoLio, level_of, time_in_sweep
+from aero_viz.recordings.point_cloud2 import decode_points
+from aero_viz.recordings.recording import PointSweep
+from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
+from aero_viz.recordings.transforms import IDENTITY
+
+TOPIC = "/aero_viz/odometry"
+"""Topic of the estimated poses."""
+_WORLD = "odom"
+_LATE = 3
+"""Clouds that may wait: where the registration is slower than the sensor, the oldest are left out, and counted."""
+
+
+class OnlineOdometry:
+    """Registers the clouds of a topic on a thread of its own and adds their poses to the stream.
+
+    Args:
+        stream: the stream.
+        method: "kiss-icp" or "rko-lio", which needs an IMU and a time per point.
+        points: topic of the clouds; None is the first one.
+        imu: topic of the IMU; None is the first one. The sensor and its IMU are taken for one.
+
+    Raises:
+        UserError: the library is not installed.
+    """
+
+    def __init__(self, stream: Stream, method: str, *, points: str | None = None, imu: str | None = None) -> None:
+        self._stream, self._method = stream, method
+        self._points, self._imu = points, imu
+        self._register: KissIcp | RkoLio | None = None
+        if method == "kiss-icp":
+            self._register = KissIcp(np.eye(4))
+        self._samples: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
+        self._last = -np.inf
+        self._start: int | None = None
+        self._clouds: Mailbox[LiveMessage] = Mailbox(self._take, capacity=_LATE, name="aero-viz-odometry")
+        self._end = stream.listen(self._listen)
+
+    @property
+    def dropped(self) -> int:
+        """Number of clouds that were left out because the registration is too slow."""
+        return self._clouds.dropped
+
+    def _listen(self, message: LiveMessage) -> None:
+        if message.type in CLOUD_TYPES:
+            self._points = self._points or message.topic
+            if message.topic == self._points:
+                self._clouds.put(message)
+        elif message.type == IMU_TYPE and self._method == "rko-lio":
+            self._imu = self._imu or message.topic
+            if message.topic == self._imu:
+                self._add_imu(message)
+
+    def _add_imu(self, message: LiveMessage) -> None:
+        try:
+            sample = decode_message(message.data, IMU_TYPE, "cdr")
+        except DamagedMessage as error:
+            self._stream.topics[message.topic].refuse(str(error))
+            return
+        force, rate, stamp = sample.linear_acceleration, sample.angular_velocity, sample.header.stamp
+        values = (force.x, force.y, force.z), (rate.x, rate.y, rate.z)
+        self._samples.append((stamp.sec * 10**9 + stamp.nanosec or message.time, *values))
+
+    def _take(self, message: LiveMessage) -> None:
+        try:
+            cloud = read_cloud(message.data, message.type, "cdr")
+        except DamagedMessage:
+            return  # counted where the cloud is placed
+        decoded = decode_points(cloud)
+        stamp = cloud.stamp or message.time
+        if not len(decoded.points):
+            return
+        self._start = self._start or stamp
+        sweep = PointSweep((stamp - self._start) * 1e-9, decoded.points, decoded.times, decoded.dropped)
+        register = self._register or self._make_rko(sweep)
+        if register is None:
+            return
+        if isinstance(register, RkoLio):
+            samples, self._samples = self._samples, []
+            register.add_imu(_as_samples(samples))
+        matrix = register(sweep)
+        time = time_in_sweep(sweep, register.posed_at)
+        if matrix is None or not np.isfinite(matrix).all() or time <= self._last:
+            return
+        self._last = time
+        self._stream.add(TOPIC, ODOMETRY, _encode(matrix, self._start + round(1e9 * time), cloud.frame))
+
+    def _make_rko(self, sweep: PointSweep) -> RkoLio | None:
+        """Return the registration, None while there is no IMU or no time per point."""
+        if not self._samples or sweep.point_times is None or self._start is None:
+            return None
+        level = level_of(_as_samples(self._samples), IDENTITY, self._start)
+        self._register = register = RkoLio(None, IDENTITY, level, self._start)
+        return register
+
+    def close(self) -> None:
+        """Stop."""
+        self._end()
+        self._clouds.close()
+
+
+def _as_samples(samples: list[tuple[int, tuple[float, ...], tuple[float, ...]]]) -> ImuSamples:
+    times = np.array([time for time, _, _ in samples], np.int64)
+    forces = np.array([force for _, force, _ in samples], np.float64).reshape(-1, 3)
+    rates = np.array([rate for _, _, rate in samples], np.float64).reshape(-1, 3)
+    if len(forces) and np.median(np.linalg.norm(forces, axis=1)) < 0.3 * GRAVITY:
+        forces = forces * GRAVITY  # in g, as Livox's driver writes it
+    return ImuSamples("", "", times, forces, rates)
+
+
+def _encode(matrix: np.ndarray, stamp: int, body: str) -> bytes:
+    """Return a pose [4, 4] as Odometry; its velocity is not set."""
+    w, x, y, z = (float(value) for value in quaternion_of_matrix(matrix[:3, :3]))
+    vector, none = message_type("geometry_msgs/msg/Vector3"), np.zeros(36)
+    zero = vector(0.0, 0.0, 0.0)
+    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    pose = message_type("geometry_msgs/msg/Pose")(
+        message_type("geometry_msgs/msg/Point")(*(float(value) for value in matrix[:3, 3])),
+        message_type("geometry_msgs/msg/Quaternion")(x, y, z, w),
+    )
+    message = message_type(ODOMETRY)(
+        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=_WORLD),
+        child_frame_id=body,
+        pose=message_type("geometry_msgs/msg/PoseWithCovariance")(pose, none),
+        twist=message_type("geometry_msgs/msg/TwistWithCovariance")(
+            message_type("geometry_msgs/msg/Twist")(zero, zero), none
+        ),
+    )
+    return encode_message(message, ODOMETRY)

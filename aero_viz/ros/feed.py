@@ -1,0 +1,122 @@
+"""Topics of a graph that feed a stream: only those that are used, whoever publishes them, whenever they come."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from aero_viz.errors import UserError
+from aero_viz.live.source import GOAL_TYPES
+from aero_viz.live.stream import Stream
+from aero_viz.recordings.clouds import CLOUD_TYPES
+from aero_viz.recordings.depth_image import CAMERA_INFO
+from aero_viz.recordings.imu_messages import IMU_TYPE
+from aero_viz.recordings.pose_messages import POSE_TYPES
+from aero_viz.recordings.ros_messages import TF_TYPES
+from aero_viz.ros.graph import Graph, Quality, Topic, message_class
+
+READ_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES, CAMERA_INFO, IMU_TYPE, *GOAL_TYPES)
+"""Types of the topics that are read."""
+
+_PERIOD = 0.5
+"""Time between two looks at the graph [s]."""
+_DEPTH = 100
+"""Messages that may wait: poses come 200 times a second."""
+_CLOUDS = 20
+"""Clouds that may wait."""
+
+
+class _Subscribed(NamedTuple):
+    subscription: Any
+    type: str
+    quality: Quality | None
+
+
+class Feed:
+    """Subscribes to topics for a stream, and again where their publishers ask for another quality of service.
+
+    Args:
+        graph: the graph; closed by its owner, after this.
+        stream: takes the messages.
+    """
+
+    def __init__(self, graph: Graph, stream: Stream) -> None:
+        self.graph = graph
+        """The graph."""
+        self._stream = stream
+        self._wanted: dict[str, str] = {}
+        self._subscribed: dict[str, _Subscribed] = {}
+        self._lock = threading.Lock()
+        self._closed = threading.Event()
+        self._watcher = threading.Thread(target=self._watch, name="aero-viz-ros-feed", daemon=True)
+        self._watcher.start()
+
+    def candidates(self) -> dict[str, str]:
+        """Return the topics of the graph that can be read, with their types."""
+        found: dict[str, str] = {}
+        for topic in self.graph.topics():
+            if (kind := readable_type(topic)) is not None:
+                found[topic.name] = kind
+        return found
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """The topics that are subscribed to, with their types."""
+        return {name: subscribed.type for name, subscribed in tuple(self._subscribed.items())}
+
+    def use(self, topics: Mapping[str, str]) -> None:
+        """Subscribe to these topics, by name and type, and to no others. A topic need not exist yet.
+
+        Raises:
+            UserError: a type is not installed.
+        """
+        for kind in topics.values():
+            message_class(kind)
+        with self._lock:
+            self._wanted = dict(topics)
+            self._update()
+
+    def _watch(self) -> None:
+        while not self._closed.wait(_PERIOD):
+            with self._lock:
+                if not self._closed.is_set():
+                    self._update()
+
+    def _update(self) -> None:
+        """Remove what is not wanted, and subscribe where nothing is subscribed, or with another quality."""
+        for name in [name for name in self._subscribed if name not in self._wanted]:
+            self.graph.remove(self._subscribed.pop(name).subscription)
+        for name, kind in self._wanted.items():
+            quality, present = self.graph.quality(name, kind), self._subscribed.get(name)
+            self._stream.health(name, kind).publishers = tuple(self.graph.nodes(name))
+            # Without a publisher, the subscription waits for one that returns.
+            if present is not None and (quality is None or quality == present.quality):
+                continue
+            if present is not None:
+                self.graph.remove(present.subscription)
+            take = functools.partial(self._stream.add, name, kind)
+            depth = _CLOUDS if kind in CLOUD_TYPES else _DEPTH
+            subscription = self.graph.subscribe(name, kind, take, raw=True, depth=depth)
+            self._subscribed[name] = _Subscribed(subscription, kind, quality)
+
+    def close(self) -> None:
+        """Unsubscribe from everything."""
+        self._closed.set()
+        self._watcher.join()
+        with self._lock:
+            self._wanted = {}
+            self._update()
+
+
+def readable_type(topic: Topic) -> str | None:
+    """Return the type by which a topic is read, None if it is of no use or its type is not installed."""
+    for kind in topic.types:
+        if kind in READ_TYPES:
+            try:
+                message_class(kind)
+            except UserError:
+                continue
+            return kind
+    return None

@@ -1,0 +1,117 @@
+"""A stream as a source: placed sweeps, states, goals, garbage, and clocks that are set."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from aero_planner.onboard.ros_messages import GOAL, goal_message
+from aero_planner.plan import Goal
+from aero_viz.errors import UserError
+from aero_viz.live.setup import Wanted, find_setup
+from aero_viz.live.source import StreamSource
+from aero_viz.live.stream import Stream
+from tests.live.conftest import Corridor, walls
+
+
+def source_of(corridor: Corridor, **options: object) -> StreamSource:
+    return StreamSource(corridor.stream, find_setup(corridor.stream, Wanted()), **options)  # type: ignore[arg-type]
+
+
+def test_sweeps_are_placed_where_the_walls_are(corridor: Corridor):
+    observation = source_of(corridor).observe()
+    assert len(observation.sweeps) == 10
+    for sweep in observation.sweeps:
+        np.testing.assert_allclose(sweep, walls(), atol=2e-3)
+    assert np.asarray(observation.state.velocity) == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_the_newest_messages_are_used_and_earlier_ticks_can_be_returned_to(corridor: Corridor):
+    source = source_of(corridor)
+    first = source.checkpoint()
+    corridor.fly(0.5)
+    source.advance()
+    assert source.observe().time > first.time
+    assert not set(map(id, source.observe().sweeps)) <= set(map(id, first.sweeps))
+    source.restore(first)
+    assert source.observe().sweeps is first.sweeps
+    source.advance()
+    assert source.tick is source.newest
+
+
+@pytest.mark.parametrize(
+    ("points", "ahead", "reason"),
+    [
+        (np.full((100, 3), np.nan, np.float32), 0, "none of its points is valid"),
+        (np.zeros((0, 3), np.float32), 0, "it has no points"),
+        (None, 3_600_000_000_000, "its stamp is in the future"),
+        (None, -3_600_000_000_000, "its stamp steps back"),
+    ],
+)
+def test_garbage_is_left_out_counted_and_named(corridor: Corridor, points: np.ndarray | None, ahead: int, reason: str):
+    source = source_of(corridor)
+    corridor.cloud(points, ahead=ahead)
+    corridor.fly(0.4)
+    source.advance()
+    assert corridor.stream.topics["/points"].unused == {reason: 1}
+    assert reason in (source.explanation or "")
+    for sweep in source.observe().sweeps:
+        np.testing.assert_allclose(sweep, walls(), atol=2e-3)
+
+
+def test_bytes_that_are_no_cloud_are_counted(corridor: Corridor):
+    source = source_of(corridor)
+    corridor.stream.add("/points", "sensor_msgs/msg/PointCloud2", b"\0\1\0\0" + bytes(40))
+    corridor.stream.add("/odometry", "nav_msgs/msg/Odometry", b"\0\1")
+    source.advance()
+    assert sum(corridor.stream.topics["/points"].unused.values()) == 1
+    assert sum(corridor.stream.topics["/odometry"].unused.values()) == 1
+
+
+def test_a_clock_that_is_set_back_starts_over(corridor: Corridor):
+    source = source_of(corridor)
+    before = source.observe().time
+    corridor.offset = -100_000_000_000
+    corridor.fly(4.0)
+    source.advance()
+    assert source.observe().time > before  # the time of the source goes on
+    np.testing.assert_allclose(source.observe().sweeps.newest, walls(), atol=2e-3)
+    assert source.observe().cloud_age < 0.5
+
+
+def test_the_goal_is_ahead_until_one_is_given(corridor: Corridor):
+    source = source_of(corridor, goal_topic="/goal_pose")
+    position = np.asarray(source.observe().state.position)
+    assert np.asarray(source.observe().goal.position) - position == pytest.approx([15.0, 0.0, 0.0])
+    source.set_goal((3.0, 1.0, 2.0))
+    source.advance()
+    assert np.asarray(source.observe().goal.position) == pytest.approx([3.0, 1.0, 2.0])
+    # RViz sends goals on the ground: they are flown to at the height of the drone.
+    corridor.stream.add("/goal_pose", GOAL, goal_message(Goal((8.0, 1.0, 0.0)), 1).data)
+    source.advance()
+    assert np.asarray(source.observe().goal.position) == pytest.approx([8.0, 1.0, 1.5])
+
+
+def test_a_silent_topic_is_named_and_its_return_is_survived(corridor: Corridor):
+    start = corridor.now - 10_000_000_000
+    silent = Corridor(Stream("silent"), start, start=start)
+    silent.fly(2.0)
+    source = source_of(silent)
+    assert "/points is silent for" in (source.explanation or "")
+    assert source.observe().cloud_age > 5.0
+    silent.now = silent.stream.clock.now() - 1_000_000_000
+    silent.fly(1.0)
+    source.advance()
+    assert "silent" not in (source.explanation or "") and source.observe().cloud_age < 1.0
+
+
+def test_a_goal_must_be_finite(corridor: Corridor):
+    with pytest.raises(UserError, match="three finite numbers"):
+        source_of(corridor, goal=(np.nan, 0.0, 0.0))
+
+
+def test_without_a_sweep_there_is_no_source(corridor: Corridor):
+    setup, empty = find_setup(corridor.stream, Wanted()), Stream("empty")
+    empty.health("/points", setup.points_type)
+    with pytest.raises(UserError, match="empty has no sweep with a pose yet"):
+        StreamSource(empty, setup)
