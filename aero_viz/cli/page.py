@@ -30,7 +30,7 @@ from aero_viz.cli.serving import (
     StudyFlags,
     announce,
     play_when_drawn,
-    serve_foxglove,
+    serve_others,
     shutdown_event,
     wait_for,
 )
@@ -185,7 +185,7 @@ def connect(
         shutdown = shutdown_event()
         dashboard = Dashboard(session, **page_flags.server_options)
         stack.callback(dashboard.close)
-        serve_foxglove(stack, session, page_flags)
+        serve_others(stack, session, page_flags)
         announce(drone, dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
@@ -287,7 +287,7 @@ def serve(
             except KeyboardInterrupt:
                 return  # also while kernels are compiled
             shutdown = shutdown_event()
-            serve_foxglove(stack, session, page_flags)
+            serve_others(stack, session, page_flags)
             session.start(play=False)
 
             from aero_viz.dashboard.first_picture import show_first_picture
