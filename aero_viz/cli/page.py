@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -260,8 +261,9 @@ def serve(
     log: OptionalPath = None,
     conditions: Conditions | None = None,
     study: StudyFlags = _STUDY,
+    watch: Callable[[Session], object] = lambda session: None,
 ) -> None:
-    """Serve the page for the source `spec` until Ctrl-C or SIGTERM.
+    """Serve the page for the source `spec` until Ctrl-C or SIGTERM. `watch` is called with the session at first.
 
     The server starts before the planner does, so that a browser loads the page meanwhile, and what is needed for the
     first picture comes before the rest. Modules are imported in that order.
@@ -288,6 +290,7 @@ def serve(
                 return  # also while kernels are compiled
             shutdown = shutdown_event()
             serve_others(stack, session, page_flags)
+            watch(session)
             session.start(play=False)
 
             from aero_viz.dashboard.first_picture import show_first_picture
