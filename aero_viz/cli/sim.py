@@ -29,8 +29,7 @@ from aero_viz.session.frame import Frame
 
 _ROS = "ros"
 """Name of the planner that asks ROS 2."""
-RosFlags: Any = config_flags_type(_ROS)
-_CONFIG: Any = RosFlags(planner=_ROS)
+_CONFIG = config_flags_type(_ROS)(planner=_ROS)
 _FLIGHT = FlightFlags()
 _PAGE = PageFlags()
 _WORLD = WorldFlags()
@@ -51,7 +50,7 @@ def sim(
     world_flags: Inline[WorldFlags] = _WORLD,
     page_flags: Inline[PageFlags] = _PAGE,
     flight_flags: Inline[FlightFlags] = _FLIGHT,
-    config_flags: Inline[RosFlags] = _CONFIG,
+    config_flags: Inline[ConfigFlags] = _CONFIG,
 ) -> None:
     """Fly what a program of ROS 2 commands, in real time, and judge it.
 

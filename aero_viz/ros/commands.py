@@ -155,7 +155,7 @@ class Trajectory:
     accelerations: Array
     kind: str = "path"
 
-    def _at(self, values: Array, times: ArrayLike) -> Array:
+    def _at(self, values: Array, times: Any) -> Array:
         return np.stack([np.interp(times, self.times, values[:, axis]) for axis in range(3)], axis=-1)
 
     def control(self, now: Situation) -> tuple[str, Array]:
@@ -191,7 +191,7 @@ def timed(times: ArrayLike, positions: ArrayLike, velocities: Any = None, accele
 
 
 def along(positions: ArrayLike, now: Situation) -> Trajectory:
-    """Return the trajectory along positions without times [m], [n, 3], from the one nearest to the drone.
+    """Return the trajectory along positions without times [m], [n, 3], from where they come nearest to the drone.
 
     It is flown at vehicle.speed_limit, and slower toward its end, where the drone stops.
 
@@ -202,7 +202,11 @@ def along(positions: ArrayLike, now: Situation) -> Trajectory:
     if len(points) == 0:
         raise ValueError("it has no positions")
     own = np.asarray(now.state.position, dtype=np.float64)
-    points = points[int(np.linalg.norm(points - own, axis=1).argmin()) :]
+    starts, ways = points, np.diff(points, axis=0, append=points[-1:])
+    share = np.sum((own - starts) * ways, axis=1) / np.maximum(np.sum(ways**2, axis=1), 1e-12)
+    nearest = starts + np.clip(share, 0.0, 1.0)[:, None] * ways
+    first = int(np.linalg.norm(nearest - own, axis=1).argmin())
+    points = np.concatenate((nearest[first : first + 1], points[first + 1 :]))
     lengths = np.linalg.norm(np.diff(points, axis=0, prepend=own[None]), axis=1)
     points, lengths = points[lengths > 1e-6], lengths[lengths > 1e-6]
     if len(points) == 0:  # the drone is there
