@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import signal
 import subprocess
 import sys
 import threading
@@ -45,7 +46,7 @@ def test_a_planner_that_speaks_only_ros_flies_the_forest(domain: int, capsys: py
         try:
             result = run_json(capsys, "sim", "forest", *SIM, "--speed", "3", "--goal", "20", "0", "2")
         finally:
-            planner.terminate()
+            planner.send_signal(signal.SIGINT)
     assert (result["reason"], result["explanation"]) == ("arrived", None)
     assert result["min_clearance"] > 0.25 and 1.0 < result["mean_speed"] < 3.0 and result["length_m"] > 15.0
 
