@@ -26,6 +26,7 @@ from aero_planner.quaternions import (
     conjugate,
     invert_transform,
     multiply,
+    quaternion_from_angles,
     rotate,
     rotation_vector,
 )
@@ -66,6 +67,7 @@ class RosOdometry:
     ) -> None:
         self.dropped: dict[str, int] = {}
         self._settings, self._mount, self._stamps, self._time = settings, mount, stamps, clock
+        self._turn = quaternion_from_angles(0.0, 0.0, settings.yaw)
         self._waiting: deque[tuple[float, Any]] = deque(maxlen=_WAITING_MAX)
         self._track: deque[tuple[float, Array]] = deque()
         """Times [s] and positions [m] of the last `_FIT_TIME`."""
@@ -110,7 +112,7 @@ class RosOdometry:
             raise ValueError(f"that is not finite or beyond {COORDINATE_LIMIT:g}")
         if self._measured is not None and time <= self._measured.time:
             return  # overtaken by a newer one
-        position, attitude = self._of_body(position, attitude / length)
+        position, attitude = compose_transforms(np.zeros(3), self._turn, *self._of_body(position, attitude / length))
         before = self._before
         rates = np.zeros(3)
         if before is not None and time > before.time:
@@ -165,7 +167,7 @@ class RosOdometry:
             return fitted, std
         if not linear.any() and fitted is not None and np.linalg.norm(fitted) > 1.0:
             raise ValueError("without a velocity while it moves: set state.velocity to positions")
-        return rotate(attitude, linear) if self._settings.velocity == "body" else linear, math.nan
+        return rotate(attitude if self._settings.velocity == "body" else self._turn, linear), math.nan
 
     def _compare(self, time: float, state: VehicleState, sample: VehicleSample) -> None:
         """Raise ValueError if the autopilot is elsewhere, or turned otherwise, by its own estimate."""

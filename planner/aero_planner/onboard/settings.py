@@ -106,6 +106,11 @@ class StateSettings(ParameterSection, section="state"):
         "positions", ("positions", "body", "world"), "Where the velocity comes from: positions, as for FAST-LIO2, "
         "whose twist is empty; the twist in the frame of the body, as in ROS, or in that of the world.", live=False,
     )  # fmt: skip
+    yaw: float = live(
+        0.0, "deg", -180.0, 180.0, "Direction of the odometry's x axis in the autopilot's local frame: 0 is north, -90 "
+        "east, as where MAVROS gives the odometry to the autopilot.",
+        label="Yaw of the odometry's frame",
+    )  # fmt: skip
     agree_distance: float = live(
         2.0, "m", 0.1, 1e4, "Distance from the autopilot's own position beyond which the odometry is not used.",
         label="Largest disagreement of the position",

@@ -85,6 +85,16 @@ def test_a_twist_is_in_the_frame_of_the_body_or_of_the_world():
         assert sample.velocity_std == pytest.approx(0.1)
 
 
+def test_its_frame_may_be_turned_about_the_vertical():
+    east = quaternion_from_angles(0.0, 0.0, -90.0)
+    for kind in ("body", "world"):
+        flight = Flight(pose="body", velocity=kind, yaw=-90.0)
+        sample = flight.step([3.0, 1.0, 2.0], own=[1.0, -3.0, 2.0], own_attitude=east, linear=(0.5, 0.0, 0.0))
+        np.testing.assert_allclose(sample.state.position, [1.0, -3.0, 2.0], atol=1e-12)
+        np.testing.assert_allclose(sample.state.velocity, [0.0, -0.5, 0.0], atol=1e-12)
+        np.testing.assert_allclose(sample.state.quaternion, east, atol=1e-12)
+
+
 def test_an_empty_twist_is_refused_while_it_moves():
     flight = Flight(velocity="body")
     sample = [flight.step([0.3 * tick, 0.0, 1.0]) for tick in range(5)][-1]
