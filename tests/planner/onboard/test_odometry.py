@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,24 +14,7 @@ from aero_planner.onboard.odometry import RosOdometry
 from aero_planner.onboard.settings import StateSettings
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import quaternion_from_angles, rotate
-
-LEVEL = (np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
-
-
-def message(
-    time: float, position: Any, attitude: Any = LEVEL[1], linear: Any = (0, 0, 0), variance: float = 0.0
-) -> Any:
-    """A nav_msgs/Odometry with a stamp of another clock."""
-    x, y, z, (w, a, b, c) = *position, attitude
-    covariance = np.diag([variance, 0.5 * variance, 0.0, 9.0, 9.0, 9.0]).ravel()
-    seconds = time + 1000.0
-    stamp = SimpleNamespace(sec=int(seconds), nanosec=round(1e9 * (seconds % 1.0)))
-    pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=z), orientation=SimpleNamespace(w=w, x=a, y=b, z=c))
-    twist = SimpleNamespace(linear=SimpleNamespace(x=linear[0], y=linear[1], z=linear[2]))
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp), pose=SimpleNamespace(pose=pose, covariance=covariance),
-        twist=SimpleNamespace(twist=twist, covariance=covariance),
-    )  # fmt: skip
+from tests.planner.onboard.ros_driver import LEVEL, odometry_message
 
 
 class Flight:
@@ -47,7 +29,7 @@ class Flight:
     ) -> Any:
         """Let a message arrive, and return the autopilot's sample with its state."""
         self.time += period
-        self.odometry.receive(message(self.time, position, **of))
+        self.odometry.receive(odometry_message(self.time, position, **of))
         place = np.asarray(position if own is None else own)
         state = VehicleState(place, np.zeros(3), own_attitude, time=self.time)
         sample = VehicleSample(self.time, state, True, True, self.time, in_air=True, position_std=7.0)

@@ -11,26 +11,13 @@ import pytest
 
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.ros_points import RosPoints, decode_cloud, decode_custom
+from tests.planner.onboard.ros_driver import cloud_message
 
-KINDS = {"f4": 7, "f8": 8, "u4": 6, "u1": 2}
 XYZ = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.0, 0.0, 0.0], [np.nan, 1.0, 1.0]])
 
 
-def cloud(*, stamp: float = 100.0, frame: str = "livox_frame", order: str = "<", **columns: tuple[str, Any]) -> Any:
-    """A sensor_msgs/PointCloud2 with the points `XYZ` and further columns, each a type and its values."""
-    fields = {name: ("f4", XYZ[:, axis]) for axis, name in enumerate("xyz")} | columns
-    rows = np.zeros(len(XYZ), [(name, order + kind) for name, (kind, _) in fields.items()])
-    for name, (_, values) in fields.items():
-        rows[name] = values
-    described = [
-        SimpleNamespace(name=name, offset=rows.dtype.fields[name][1], datatype=KINDS[kind], count=1)  # type: ignore[index]
-        for name, (kind, _) in fields.items()
-    ]
-    header = SimpleNamespace(stamp=SimpleNamespace(sec=int(stamp), nanosec=0), frame_id=frame)
-    return SimpleNamespace(
-        header=header, fields=described, width=len(rows), height=1, point_step=rows.itemsize, data=rows.tobytes(),
-        is_bigendian=order == ">",
-    )  # fmt: skip
+def cloud(**options: Any) -> Any:
+    return cloud_message(XYZ, **options)
 
 
 def custom(offsets: Any = (0, 10_000_000, 0, 0), tags: Any = (0, 0, 0, 0)) -> bytes:
