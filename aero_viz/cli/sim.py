@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aero_planner.output_files import check_output_files
 from aero_viz.cli.flags import (
@@ -22,10 +22,10 @@ from aero_viz.cli.output import print_report
 from aero_viz.cli.page import flight_opener, serve
 from aero_viz.cli.serving import PageFlags
 from aero_viz.errors import UserError
-from aero_viz.flight.source import FlightSource
-from aero_viz.session import Session
-from aero_viz.session.engine import PLANNER_FAILED
-from aero_viz.session.frame import Frame
+
+if TYPE_CHECKING:
+    from aero_viz.session import Session
+    from aero_viz.session.frame import Frame
 
 _ROS = "ros"
 """Name of the planner that asks ROS 2."""
@@ -120,6 +120,9 @@ class _Flown:
         if frame.outcome is None or self._printed == (frame.epoch, frame.time):
             return
         self._printed = (frame.epoch, frame.time)
+        from aero_viz.flight import FlightSource
+        from aero_viz.session.engine import PLANNER_FAILED
+
         if isinstance(self._source, FlightSource):
             result = dataclasses.replace(self._source.result(), config=self._flags.name_of(frame.config))
             if frame.outcome == PLANNER_FAILED:
