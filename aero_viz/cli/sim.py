@@ -76,7 +76,9 @@ def sim(
     """
     if not ros or config_flags.planner != _ROS:
         raise UserError("sim flies what a program of ROS 2 commands: add --ros, and no --planner; demo flies planners.")
-    dataclasses.replace(page_flags, ros_out=True).check()  # also that there is a ROS 2
+    if page_flags.ros_out:
+        raise UserError("sim publishes what the drone sees itself, on some of the topics of --ros-out: leave that out.")
+    dataclasses.replace(page_flags, ros_out=True).check()  # that there is a ROS 2
     if headless:
         options: dict[str, Any] = {"speed": speed, "lidar": lidar, "seed": seed, "device": device, "json": json}
         groups = {"world_flags": world_flags, "page_flags": page_flags, "flight_flags": flight_flags}

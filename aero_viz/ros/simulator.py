@@ -6,6 +6,7 @@ other, so that flights are judged, shown, logged and counted as all others are.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import threading
 import time
@@ -72,6 +73,7 @@ class RosPlanner(Planner):
         self._refused: set[str] = set()
         self._arrived = threading.Event()
         """Set by every command."""
+        self._interrupted = threading.Event()
         self._base = self._stamp = round(1e9 * wall_time())
         """Stamps of the simulated time 0, and of the last observation [ns]."""
         self.reset()
@@ -102,7 +104,7 @@ class RosPlanner(Planner):
             self._command, self._sweeps, self._goal = None, None, None
         self._situation = now = Situation(observation.time, observation.state, self.config.ros, self.config.vehicle)
         self._publish(graph, observation)
-        if before is not None and not self._arrived.is_set():
+        if before is not None and observation.time > before.time and not self._arrived.is_set():
             self._wait_for_command(graph, observation)
             started = time.perf_counter()
         command = self._command
@@ -125,6 +127,7 @@ class RosPlanner(Planner):
     def _join(self) -> Graph:
         if self._graph is None:
             self._graph = Graph("aero_viz_sim")
+            atexit.register(self.close)  # a graph that outlives the interpreter aborts the process
             for topic, kind in (("/clock", "rosgraph_msgs/msg/Clock"), ("/points", "sensor_msgs/msg/PointCloud2"),
                                 ("/odometry", "nav_msgs/msg/Odometry"), ("/goal_pose", "geometry_msgs/msg/PoseStamped"),
                                 ("/tf", "tf2_msgs/msg/TFMessage")):  # fmt: skip
@@ -144,6 +147,8 @@ class RosPlanner(Planner):
         deadline = time.monotonic() + self.config.ros.patience
         self._listen(graph)
         while not self._arrived.wait(_RETRY):
+            if self._interrupted.is_set():
+                raise PlannerError("No command had arrived.")
             if time.monotonic() > deadline:
                 raise PlannerError(
                     f"No command has arrived for {self.config.ros.patience:g} s on {', '.join(sorted(self._names()))}. "
@@ -224,7 +229,11 @@ class RosPlanner(Planner):
         if (publisher := self._publishers.get(topic)) is not None:
             publisher.publish(message)
 
+    def interrupt(self) -> None:
+        self._interrupted.set()
+
     def close(self) -> None:
         if self._graph is not None:
+            atexit.unregister(self.close)
             self._graph.close()
             self._graph = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import signal
 import subprocess
@@ -17,9 +18,12 @@ from command_line import run_json, run_refused
 
 from aero_planner import VehicleState
 from aero_planner.quaternions import quaternion_from_angles
+from aero_viz.flight import FlightSource
 from aero_viz.ros.commands import READERS, TOPICS, Following, Situation, along, timed
+from aero_viz.ros.graph import Graph
 from aero_viz.ros.simulator import RosConfig
 from aero_viz.scenes import World
+from aero_viz.session import Session
 from tests.ros.conftest import Start
 from tests.ros.test_publishing import Peer
 
@@ -91,9 +95,23 @@ def test_while_nobody_commands_the_drone_all_that_it_sees_is_published_and_then_
     assert found["/goal_pose"]["pose"]["position"]["x"] == pytest.approx(45.0)
 
 
+def test_stamps_never_go_back_where_time_does(graph: Graph, start: Start, open_world: str):
+    start("tests.ros.commander", STAMPED)
+    stamps: list[int] = []
+    graph.subscribe("/clock", "rosgraph_msgs/msg/Clock", lambda m: stamps.append(m.clock.sec * 10**9 + m.clock.nanosec))
+    with contextlib.closing(Session(FlightSource(World.load(open_world)), config=RosConfig())) as session:
+        while (frame := session.tick()).time < 0.4:
+            pass
+        session.seek(0.1)
+        again = [session.tick().time for _ in range(20)][-1]
+    assert frame.outcome is None and again == pytest.approx(0.5)
+    assert len(stamps) > 30 and stamps == sorted(stamps)
+
+
 def test_sim_says_that_it_needs_ros(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
     assert "add --ros" in run_refused(capsys, "sim", "forest")
     assert "add --ros" in run_refused(capsys, "sim", "forest", "--ros", "--planner", "primitives")
+    assert "leave that out" in run_refused(capsys, "sim", "forest", "--ros", "--ros-out")
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert "'.[ros]'" in run_refused(capsys, "sim", "forest", "--ros")
 
