@@ -77,7 +77,7 @@ def sim(
     if not ros or config_flags.planner != _ROS:
         raise UserError("sim flies what a program of ROS 2 commands: add --ros, and no --planner; demo flies planners.")
     if page_flags.ros_out:
-        raise UserError("sim publishes what the drone sees itself, on some of the topics of --ros-out: leave that out.")
+        raise UserError("sim publishes the drone's pose itself: leave --ros-out out.")
     dataclasses.replace(page_flags, ros_out=True).check()  # that there is a ROS 2
     if headless:
         options: dict[str, Any] = {"speed": speed, "lidar": lidar, "seed": seed, "device": device, "json": json}

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from aero_viz.flight.single import FlightRecorders
 
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
+_GLOBAL = ("/tf", "/diagnostics")
+"""Topics that everyone shares; all others are in the namespace /aero_viz, apart from those of a drone that is shown."""
 _LATCHED = ("/goal",)
 """Topics whose last message also reaches who comes later."""
 _LEFT_OUT = ("/plan/rollouts",)
@@ -56,8 +58,11 @@ class FramePublisher:
 
     def write(self, frame: Frame) -> None:
         """Publish a frame."""
+        # A drone that is shown live has transforms of its own.
+        is_live = frame.source.times is None and not frame.source.closed_loop
         for encoded, _ in self._messages.encode(frame):
-            self._send(encoded)
+            if not (is_live and encoded.topic == "/tf"):
+                self._send(encoded)
         for topic, (_, make) in _ON_DEMAND.items():
             publisher = self._publishers[topic]
             if publisher is not None and publisher.get_subscription_count():
@@ -86,8 +91,9 @@ class FramePublisher:
     def _publisher(self, topic: str, kind: str) -> Any:
         """Return the publisher of a topic; None where its type is not installed, such as tf2_msgs beside the wheels."""
         if topic not in self._publishers:
+            name = topic if topic in _GLOBAL else f"/aero_viz{topic}"
             try:
-                self._publishers[topic] = self._graph.publisher(topic, kind, latched=topic in _LATCHED)
+                self._publishers[topic] = self._graph.publisher(name, kind, latched=topic in _LATCHED)
             except UserError:
                 self._publishers[topic] = None
         return self._publishers[topic]

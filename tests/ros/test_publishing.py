@@ -24,6 +24,8 @@ from tests.ros.conftest import Start, wait_until
 
 TOPICS = {"/odometry", "/goal", "/plan/best", "/plan/candidates", "/command/velocity", "/command/acceleration"}
 CELLS = {"/sweep", "/plan/guides", "/plan/cells", "/plan/filtered"}
+SHARED = {"/diagnostics"}
+"""Topics that are not in the namespace /aero_viz."""
 
 
 any_planner = pytest.mark.parametrize(
@@ -36,6 +38,11 @@ class Peer:
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
+
+    def read(self, topics: set[str]) -> dict[str, Any]:
+        """Return the next message of each topic."""
+        names = {topic if topic in SHARED else f"/aero_viz{topic}": topic for topic in topics}
+        return {names[name]: message for name, message in self.ask(read=sorted(names)).items()}
 
     def ask(self, **request: Any) -> Any:
         """Return the answer to a request."""
@@ -61,7 +68,7 @@ def session(request: pytest.FixtureRequest, domain: int) -> Iterator[Session]:
 def played(session: Session, peer: Peer, topics: set[str]) -> dict[str, Any]:
     """Return what another program reads while the session is played."""
     found: dict[str, Any] = {}
-    reader = threading.Thread(target=lambda: found.update(peer.ask(read=sorted(topics))))
+    reader = threading.Thread(target=lambda: found.update(peer.read(topics)))
     reader.start()
 
     def is_over() -> bool:
@@ -77,7 +84,7 @@ def played(session: Session, peer: Peer, topics: set[str]) -> dict[str, Any]:
 def test_another_program_reads_the_plan_its_costs_and_its_command(session: Session, peer: Peer):
     frame = session.tick()
     plan, is_ensemble = frame.plan, "cells" in frame.plan.extensions
-    found = played(session, peer, TOPICS | {"/diagnostics"} | (CELLS if is_ensemble else set()))
+    found = played(session, peer, TOPICS | SHARED | (CELLS if is_ensemble else set()))
     assert len(found["/plan/best"]["poses"]) == plan.positions.shape[1]
     lines, texts = found["/plan/candidates"]["markers"][::2], found["/plan/candidates"]["markers"][1::2]
     assert [len(line["points"]) for line in lines] == [plan.positions.shape[1]] * len(plan.kinds)
@@ -152,7 +159,7 @@ def test_a_flight_without_a_page_is_published_and_stays_the_same(
     world, arguments = tmp_path / "poles.json", ("--planner", "primitives", "--seed", "1")
     small_source(goal=5.0).info.world.save(world)  # type: ignore[union-attr]
     found: dict[str, Any] = {}
-    reader = threading.Thread(target=lambda: found.update(peer.ask(read=sorted(TOPICS))))
+    reader = threading.Thread(target=lambda: found.update(peer.read(TOPICS)))
     reader.start()
     published = run_json(capsys, "fly", str(world), *arguments, "--ros-out")
     reader.join(60.0)

@@ -111,7 +111,7 @@ def test_stamps_never_go_back_where_time_does(graph: Graph, start: Start, open_w
 def test_sim_says_that_it_needs_ros(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
     assert "add --ros" in run_refused(capsys, "sim", "forest")
     assert "add --ros" in run_refused(capsys, "sim", "forest", "--ros", "--planner", "primitives")
-    assert "leave that out" in run_refused(capsys, "sim", "forest", "--ros", "--ros-out")
+    assert "leave --ros-out out" in run_refused(capsys, "sim", "forest", "--ros", "--ros-out")
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert "'.[ros]'" in run_refused(capsys, "sim", "forest", "--ros")
 
