@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from aero_planner import VehicleState
-from aero_planner.onboard.ros_messages import Encoded
+from aero_planner.onboard.ros_messages import CLOUD, MARKERS, PATH, Encoded, best_path, guide_lines
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.ros import messages
@@ -24,24 +24,21 @@ _GLOBAL = ("/tf", "/diagnostics")
 """Topics that everyone shares; all others are in the namespace /aero_viz, apart from those of a drone that is shown."""
 _LATCHED = ("/goal",)
 """Topics whose last message also reaches who comes later."""
-_LEFT_OUT = ("/plan/rollouts",)
-"""Topics of the flight log of which another one here tells more: /plan/candidates."""
 _ON_DEMAND: dict[str, tuple[str, Callable[[Frame, int], Any]]] = {
-    "/plan/candidates": (
-        "visualization_msgs/msg/MarkerArray",
-        lambda frame, stamp: messages.candidate_markers(frame.plan, stamp),
-    ),
-    "/plan/cells": ("sensor_msgs/msg/PointCloud2", messages.cell_cloud),
-    "/plan/filtered": ("sensor_msgs/msg/PointCloud2", messages.filtered_cloud),
+    "/plan/best": (PATH, lambda frame, stamp: best_path(frame.plan, stamp)),
+    "/plan/guides": (MARKERS, lambda frame, stamp: guide_lines(frame.plan, stamp)),
+    "/plan/candidates": (MARKERS, lambda frame, stamp: messages.candidate_markers(frame.plan, stamp)),
+    "/plan/cells": (CLOUD, messages.cell_cloud),
+    "/plan/filtered": (CLOUD, messages.filtered_cloud),
     "/diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", messages.diagnostics),
     "/command/velocity": ("geometry_msgs/msg/TwistStamped", messages.velocity_command),
     "/command/acceleration": ("geometry_msgs/msg/AccelStamped", messages.acceleration_command),
 }
-"""Type of each topic besides those of the flight log, and what makes its message where somebody subscribes."""
+"""Type of each topic of the plan, and what makes its message where somebody subscribes."""
 
 
 class FramePublisher:
-    """Publishes frames: the topics of the flight log whose types are installed, and those of `messages`.
+    """Publishes frames: pose, sweeps and goal as in the flight log, where their types are installed, and the plan.
 
     Stamps are the wall time at which the publisher began plus the time of the source, and never go back.
 
@@ -60,7 +57,7 @@ class FramePublisher:
         """Publish a frame."""
         # A drone that is shown live has transforms of its own.
         is_live = frame.source.times is None and not frame.source.closed_loop
-        for encoded, _ in self._messages.encode(frame):
+        for encoded, _ in self._messages.encode_inputs(frame):
             if not (is_live and encoded.topic == "/tf"):
                 self._send(encoded)
         for topic, (_, make) in _ON_DEMAND.items():
@@ -83,10 +80,8 @@ class FramePublisher:
             publisher.wait_for_all_acked(Duration(seconds=_CLOSE_TIMEOUT / len(self._publishers)))
 
     def _send(self, encoded: Encoded) -> None:
-        if encoded.topic not in _LEFT_OUT:
-            publisher = self._publisher(encoded.topic, encoded.kind)
-            if publisher is not None:
-                publisher.publish(encoded.data)
+        if (publisher := self._publisher(encoded.topic, encoded.kind)) is not None:
+            publisher.publish(encoded.data)
 
     def _publisher(self, topic: str, kind: str) -> Any:
         """Return the publisher of a topic; None where its type is not installed, such as tf2_msgs beside the wheels."""

@@ -39,6 +39,10 @@ _BEST_COLOR = (0.2, 0.9, 0.4, 1.0)
 """Colours as red, green, blue, opacity."""
 WIDTH, BEST_WIDTH = 0.02, 0.05
 """Widths of lines [m]."""
+_NO_TEXTURE = struct.pack("<IIB3xiIIB3xIB3xII", 0, 1, 0, 0, 0, 1, 0, 1, 0, 0, 0)
+"""No colors, and texture_resource, texture and uv_coordinates that are empty, from a multiple of 4 bytes on."""
+_NO_MESH = struct.pack("<IB3xIB3xIB", 1, 0, 1, 0, 0, 0)
+"""An empty mesh_resource and mesh_file, and mesh_use_embedded_materials, in the same way."""
 
 PLAN_DEFINITION = """\
 # Result of one tick of the planner. Arrays have one entry per instance of the ensemble, M in all.
@@ -209,15 +213,10 @@ class CdrWriter:
         self.pack("B", 0)  # frame_locked
         self.pack("I", len(points))
         self.array(points, "<f8", counted=False)
-        self.pack("I", 0)  # colors
-        self.text("")  # texture_resource
-        self.header(0, "")  # texture
-        self.text("")
-        self.pack("I", 0, 0)  # data of texture, uv_coordinates
-        for value in (text, "", ""):  # text, mesh_resource, name of mesh_file
-            self.text(value)
-        self.pack("I", 0)  # data of mesh_file
-        self.pack("B", 0)  # mesh_use_embedded_materials
+        self._data += _NO_TEXTURE
+        self.text(text)
+        self._align(4)
+        self._data += _NO_MESH
 
     def done(self) -> bytes:
         """Return the message."""
@@ -316,15 +315,27 @@ def plan_messages(
         lines: Also yield guides and rollouts, which are ten times the size of the rest.
     """
     yield Encoded("/plan", PLAN, _summary(plan, stamp, plan_ms, config_version))
-    best = int(plan.best)
-    yield Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+    yield best_path(plan, stamp)
     if not {"goal", "collision"}.issuperset(plan.costs):
         yield Encoded("/plan/costs", COSTS, _costs(plan.costs, stamp))
     if lines:
-        if "guides" in plan.extensions:
-            yield Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
-        rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=best)
+        if (guides := guide_lines(plan, stamp)) is not None:
+            yield guides
+        rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=int(plan.best))
         yield Encoded("/plan/rollouts", MARKERS, rollouts)
+
+
+def best_path(plan: Any, stamp: int) -> Encoded:
+    """Return /plan/best, the path that is flown, at `stamp` [ns]."""
+    best = int(plan.best)
+    return Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+
+
+def guide_lines(plan: Any, stamp: int) -> Encoded | None:
+    """Return /plan/guides at `stamp` [ns]; None if the plan has none."""
+    if "guides" not in plan.extensions:
+        return None
+    return Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
 
 
 def safety_change(change: StateChange, stamp: int) -> Encoded:
