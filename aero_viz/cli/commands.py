@@ -31,6 +31,7 @@ def _accept(name: str, found: Any) -> Command:
 _SHIPPED: dict[str, Command | str] = {
     "demo": _command("page", "demo", "Fly a synthetic scene live in the browser."),
     "play": _command("page", "play", "Run the planner on a recording, open loop, live in the browser."),
+    "sim": _command("sim", "sim", "Fly what a program of ROS 2 commands, in real time, and judge it."),
     "connect": _command("page", "connect", "Show the live plan of a drone that runs `aero-planner run`."),
     "live": _command("live", "live", "Plan live on the topics of ROS 2, on a sensor, or on a capture."),
     "inspect": _command("recordings", "inspect", "Show what a recording contains and which parts can be played."),

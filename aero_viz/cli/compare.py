@@ -9,7 +9,7 @@ import tyro
 
 from aero_viz.cli.flags import Inline
 from aero_viz.cli.output import print_report
-from aero_viz.cli.serving import WATCHING, PageFlags, announce, serve_foxglove, shutdown_event, wait_for
+from aero_viz.cli.serving import WATCHING, PageFlags, announce, serve_others, shutdown_event, wait_for
 
 _PAGE = PageFlags()
 _Log = tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="A.mcap")]]
@@ -52,7 +52,7 @@ def compare(
         history = LoggedHistory(comparison, start=source.start if isinstance(source, FlightReplay) else 0.0)
         dashboard = Dashboard(session, **page_flags.server_options, history=history)
         stack.callback(dashboard.close)
-        serve_foxglove(stack, session, page_flags)
+        serve_others(stack, session, page_flags)
         announce(f"{b} with the ghost of {a}", dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)

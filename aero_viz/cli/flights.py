@@ -79,7 +79,7 @@ def fly(
         return serve_flight(world, *flags, lidar=lidar, seed=seed, device=device, log=log)
     port, host = page_flags.foxglove_port, page_flags.host
     used = () if port is None else ("foxglove", "host", "allow_host", "foxglove_origin")
-    page_flags.refuse(besides=used, advice="it is for the page: add --no-headless, or leave it out")
+    page_flags.refuse(besides=("ros_out", *used), advice="it is for the page: add --no-headless, or leave it out")
     from aero_viz.flight import FlightInterrupted
     from aero_viz.flight import fly as fly_once
 
@@ -114,6 +114,10 @@ def fly(
                     announce=(lambda _: None) if json else announce_foxglove,
                     **page_flags.foxglove_options,
                 )
+            if page_flags.ros_out:
+                from aero_viz.ros.publishing import ros_recorder
+
+                options["recorder"] = ros_recorder(log=options.get("recorder"))
             result = fly_once(loaded, **options)
     except FlightInterrupted as interrupted:
         print_report(interrupted.result, as_json=json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,7 +31,7 @@ from aero_viz.cli.serving import (
     StudyFlags,
     announce,
     play_when_drawn,
-    serve_foxglove,
+    serve_others,
     shutdown_event,
     wait_for,
 )
@@ -189,7 +190,7 @@ def connect(
         shutdown = shutdown_event()
         dashboard = Dashboard(session, **page_flags.server_options)
         stack.callback(dashboard.close)
-        serve_foxglove(stack, session, page_flags)
+        serve_others(stack, session, page_flags)
         announce(drone, dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         wait_for(shutdown)
@@ -264,8 +265,9 @@ def serve(
     log: OptionalPath = None,
     conditions: Conditions | None = None,
     study: StudyFlags = _STUDY,
+    watch: Callable[[Session], object] = lambda session: None,
 ) -> None:
-    """Serve the page for the source `spec` until Ctrl-C or SIGTERM.
+    """Serve the page for the source `spec` until Ctrl-C or SIGTERM. `watch` is called with the session at first.
 
     The server starts before the planner does, so that a browser loads the page meanwhile, and what is needed for the
     first picture comes before the rest. Modules are imported in that order.
@@ -291,7 +293,8 @@ def serve(
             except KeyboardInterrupt:
                 return  # also while kernels are compiled
             shutdown = shutdown_event()
-            serve_foxglove(stack, session, page_flags)
+            serve_others(stack, session, page_flags)
+            watch(session)
             session.start(play=False)
 
             from aero_viz.dashboard.first_picture import show_first_picture

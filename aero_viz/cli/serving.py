@@ -29,7 +29,7 @@ _FOXGLOVE_PORT = 8765
 """Foxglove's own default."""
 
 
-WATCHING = ("host", "port", "open", "paused", "allow_host", "embed", "foxglove", "foxglove_origin")
+WATCHING = ("host", "port", "open", "paused", "allow_host", "embed", "foxglove", "foxglove_origin", "ros_out")
 """Flags of a page that opens no files."""
 
 
@@ -55,14 +55,20 @@ class PageFlags:
     """Serve the topics of the flight log live on --host, by default on port 8765, for Foxglove and Lichtblick."""
     foxglove_origin: Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="ORIGIN")] = ()
     """Origin of another web page that may read the flight there, such as http://localhost:8080; may be repeated."""
+    ros_out: bool = False
+    """Publish path, candidates, cells, points, status and command in ROS 2, and offer the parameters as a node's."""
 
     def check(self) -> None:
-        """Check the flags for Foxglove before anything starts.
+        """Check the flags for Foxglove and ROS 2 before anything starts.
 
         Raises:
-            UserError: as for `foxglove_port`.
+            UserError: as for `foxglove_port`, or there is no ROS 2.
         """
         _ = self.foxglove_port
+        if self.ros_out:
+            from aero_viz.ros.graph import import_rclpy
+
+            import_rclpy()
 
     @property
     def foxglove_port(self) -> int | None:
@@ -159,14 +165,18 @@ def wait_for(event: threading.Event) -> None:
         pass
 
 
-def serve_foxglove(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
-    """Serve the session for Foxglove until the stack closes, if the flags say so."""
+def serve_others(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
+    """Serve the session for Foxglove and publish it in ROS 2 until the stack closes, as the flags say."""
     port = page_flags.foxglove_port
     if port is not None:
         from aero_viz.logs import serve_foxglove as serve
 
         server = stack.enter_context(serve(session, page_flags.host, port, **page_flags.foxglove_options))
         announce_foxglove(server.url)
+    if page_flags.ros_out:
+        from aero_viz.ros.publishing import publish_session
+
+        stack.enter_context(publish_session(session))
 
 
 def announce_foxglove(url: str) -> None:

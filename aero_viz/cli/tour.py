@@ -6,7 +6,7 @@ import contextlib
 from typing import TYPE_CHECKING
 
 from aero_planner.plain_text import say
-from aero_viz.cli.serving import PageFlags, announce, serve_foxglove, shutdown_event
+from aero_viz.cli.serving import PageFlags, announce, serve_others, shutdown_event
 
 if TYPE_CHECKING:
     from aero_planner.config import DroneConfig
@@ -33,7 +33,7 @@ def serve_tour(opener: Opener, config: DroneConfig, page_flags: PageFlags, *, se
         shutdown = shutdown_event()
         dashboard = Dashboard(session, **page_flags.server_options, panels=False)
         stack.callback(dashboard.close)
-        serve_foxglove(stack, session, page_flags)
+        serve_others(stack, session, page_flags)
         announce("the tour", dashboard.server, page_flags)
         session.start(play=False)
         Tour(session, dashboard, opener, say=lambda line: say(line, flush=True)).run(shutdown)

@@ -32,6 +32,13 @@ class FlightMessages:
 
     def encode(self, frame: Frame) -> list[tuple[Encoded, int]]:
         """Return the messages of a frame with their stamps [ns]."""
+        messages = self.encode_inputs(frame)
+        plan_ms, stamp = float(frame.timings_ms.get("plan", 0.0)), self.stamp
+        plan = plan_messages(frame.plan, stamp, plan_ms=plan_ms, config_version=frame.config_version)
+        return [*messages, *((message, stamp) for message in plan)]
+
+    def encode_inputs(self, frame: Frame) -> list[tuple[Encoded, int]]:
+        """Return the messages of a frame without its plan: pose, sweeps and goal, with their stamps [ns]."""
         last = self.last
         stamp = self._next_stamp(frame)
         messages: list[tuple[Encoded, int]] = []
@@ -40,9 +47,6 @@ class FlightMessages:
             messages += self._encode_sweeps(frame, stamp)
         if last is None or not np.array_equal(last.observation.goal.position, frame.observation.goal.position):
             messages.append((goal_message(frame.observation.goal, stamp), stamp))
-        plan_ms = float(frame.timings_ms.get("plan", 0.0))
-        plan = plan_messages(frame.plan, stamp, plan_ms=plan_ms, config_version=frame.config_version)
-        messages += ((message, stamp) for message in plan)
         self.last = frame
         return messages
 

@@ -190,6 +190,24 @@ def lacks(plan: Plan, *extensions: str) -> str:
     return f"This planner has no {', '.join(missing)}." if missing else ""
 
 
+def cell_angles(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return azimuth and elevation of the centre of every cell [rad], row by row, each of shape [rows * columns].
+
+    Args:
+        shape: rows and columns of the cells, such as those of `aero_planner.Plan.fine_range`.
+    """
+    rows, columns = shape
+    elevation = np.radians(-90.0 + 180.0 * (np.arange(rows) + 0.5) / rows)
+    azimuth = np.radians(-180.0 + 360.0 * (np.arange(columns) + 0.5) / columns)
+    return np.tile(azimuth, rows), np.repeat(elevation, columns)
+
+
+def directions_at(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return unit vectors [.., 3] from angles [rad], [..]."""
+    flat = np.cos(elevation)
+    return np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)), axis=-1)
+
+
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...], *, finite: bool = True) -> Array:
     """Return values as float32 if they have the shape, with -1 for any size."""
     array = np.array(values, dtype=np.float32)

@@ -97,6 +97,10 @@ class Planner(ABC):
         """Return which candidates of the last plan are safe, shape [M]; None if that is unknown."""
         return plan.is_safe if isinstance(plan, CandidatePlan) else None
 
+    def interrupt(self) -> None:
+        """End a plan that waits for something, from any thread; the planner is closed afterwards."""
+        return None
+
     def close(self) -> None:
         """Release processes, threads and device memory."""
         return None

@@ -28,6 +28,7 @@ PLANNERS: Registry[type[Planner]] = Registry(
         "aero_mppi": "aero_viz.planners.aero_mppi:AeroMppi",
         "single_mppi": "aero_viz.planners.single_mppi:SingleMppi",
         "primitives": "aero_viz.planners.primitives:Primitives",
+        "ros": "aero_viz.ros.simulator:RosPlanner",
     },
     _accept,
     others="module:Class, or connect:ADDRESS",

@@ -329,6 +329,10 @@ class Engine:
         recent = [end for end in self._tick_ends if now - end <= 1.0]
         return (len(recent) - 1) / (now - recent[0]) if len(recent) > 1 and now > recent[0] else 0.0
 
+    def interrupt(self) -> None:
+        """End a plan that waits for something, from any thread; the engine is closed afterwards."""
+        self._planner.interrupt()
+
     def close(self) -> None:
         """Release the source and the planner."""
         self.source.close()

@@ -419,6 +419,7 @@ class Session(BaseSession):
 
     def close(self) -> None:
         """Stop the thread and close the sinks, the source and the planner."""
+        self._engine.interrupt()
         has_ended = self._loop.close()
         self.close_sinks()
         if has_ended:  # never while a thread still plans with it

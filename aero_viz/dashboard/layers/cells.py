@@ -12,6 +12,7 @@ from aero_planner import Plan
 from aero_planner.quaternions import rotation_matrix
 from aero_viz.dashboard import palette
 from aero_viz.dashboard.layers.base import Change, ColorKey, ColorScale, Layer, Lines, full_plan
+from aero_viz.planners.plan import cell_angles, directions_at
 from aero_viz.session.frame import Frame
 
 _SQUARE = np.array([[0.0, -0.5, -0.5], [0.0, 0.5, -0.5], [0.0, 0.5, 0.5], [0.0, -0.5, 0.5]], dtype=np.float32)
@@ -51,8 +52,8 @@ class CellPatches:
         changes = _pose(self._pose, frame)
         if shape != self._shape:
             self._shape = shape
-            azimuth, elevation = _centers(shape)
-            self._direction = _direction(azimuth, elevation)
+            azimuth, elevation = cell_angles(shape)
+            self._direction = directions_at(azimuth, elevation)
             step = np.radians(180.0 / shape[0])
             self._size = 1.84 * np.tan(0.5 * step) * np.stack(
                 (np.ones_like(azimuth), np.cos(elevation), np.ones_like(azimuth)), axis=1
@@ -212,7 +213,7 @@ def is_ground_known(frame: Frame) -> bool:
 
 def is_in_view(frame: Frame) -> NDArray[np.bool_]:
     """Return True for fine cells whose centre the sensor can see now, row by row, shape [rows * columns, 1]."""
-    azimuth, elevation = (np.degrees(angle) for angle in _centers(full_plan(frame).fine_range.shape))
+    azimuth, elevation = (np.degrees(angle) for angle in cell_angles(full_plan(frame).fine_range.shape))
     seen = np.zeros(azimuth.shape, np.bool_)
     for lowest, highest, width, middle in frame.config.unseen_space.views:
         off = np.abs((azimuth - middle + 180.0) % 360.0 - 180.0)
@@ -223,19 +224,6 @@ def is_in_view(frame: Frame) -> NDArray[np.bool_]:
 def _pose(node: viser.FrameHandle, frame: Frame) -> list[Change]:
     state = frame.observation.state
     return [(node, "position", np.asarray(state.position)), (node, "wxyz", np.asarray(state.quaternion))]
-
-
-def _centers(shape: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the azimuth and elevation of every cell [rad], row by row, each of shape [rows * columns]."""
-    rows, columns = shape
-    elevation = np.radians(-90.0 + 180.0 * (np.arange(rows) + 0.5) / rows)
-    azimuth = np.radians(-180.0 + 360.0 * (np.arange(columns) + 0.5) / columns)
-    return np.tile(azimuth, rows), np.repeat(elevation, columns)
-
-
-def _direction(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float64]:
-    flat = np.cos(elevation)
-    return np.stack((flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)), axis=-1)
 
 
 def _facing(azimuth: NDArray[np.float64], elevation: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -251,6 +239,6 @@ def _borders(shape: tuple[int, ...]) -> NDArray[np.float64]:
     parallels = np.radians(np.linspace(-90.0, 90.0, rows + 1)[1:-1])
     meridians = np.radians(np.linspace(-180.0, 180.0, columns, endpoint=False))
     span = np.radians(np.linspace(-90.0 + 180.0 / rows, 90.0 - 180.0 / rows, 25))
-    around = _direction(*np.broadcast_arrays(fine[None], parallels[:, None]))
-    upward = _direction(*np.broadcast_arrays(meridians[:, None], span[None]))
+    around = directions_at(*np.broadcast_arrays(fine[None], parallels[:, None]))
+    upward = directions_at(*np.broadcast_arrays(meridians[:, None], span[None]))
     return np.concatenate([np.stack((arc[:, :-1], arc[:, 1:]), axis=2).reshape(-1, 2, 3) for arc in (around, upward)])

@@ -5,6 +5,7 @@
 - Safety: `failsafe_table` (what happens on which fault), `failsafe_conditions` (which faults there are now),
   `safety_machine`, `watchdog`, `failsafe_process`, `heartbeat_memory`, `readiness_log`, `safety_docs`.
 - LiDAR: `livox`, `sweep_buffer`, `host_clock`.
+- ROS 2, where the settings ask for it: `ros`, `ros_points`, `odometry`.
 - Measured by the LiDAR: the ground height (`ground_tracker`, `ground_plane`), and how far the autopilot's estimate
   drifts (`drift_monitor`, `cloud_drift`).
 - Autopilot: `mavlink`, `mavlink_state`, `mavlink_sender`, `mavlink_parser`, `mavlink_signing`, `transport`,

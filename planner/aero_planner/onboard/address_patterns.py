@@ -18,3 +18,5 @@ CONNECTION = rf"udp(?:in|out):{ADDRESS}:{_PORT}|/[A-Za-z0-9_./:,-]+"
 
 GOAL_SENDER = rf"(?:vehicle|{_SYSTEM}@{ADDRESS})"
 """A sender of goals."""
+TOPIC = r"(/[A-Za-z_]\w*)+"
+"""Name of a topic of ROS 2, such as /livox/lidar."""

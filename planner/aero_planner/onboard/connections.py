@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from aero_planner.config import VehicleConfig
+from aero_planner.onboard.interfaces import PointSource
 from aero_planner.onboard.livox import LivoxSource
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_sender import MavlinkSender
@@ -15,6 +18,9 @@ from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.signing_memory import SigningMemory
 from aero_planner.onboard.thrust import ThrustModel
+
+if TYPE_CHECKING:
+    from aero_planner.onboard.ros import RosInputs
 
 
 def is_loopback(host: str) -> bool:
@@ -25,10 +31,30 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+@contextlib.contextmanager
+def ros_inputs(config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> Iterator[RosInputs | None]:
+    """Take part in ROS 2 while the context is open; None where the settings ask for nothing from there.
+
+    Raises:
+        ImportError, OSError: See `aero_planner.onboard.ros.RosInputs`.
+    """
+    if "ros" not in (config.lidar.source, config.state.source):
+        yield None
+        return
+    from aero_planner.onboard.ros import RosInputs
+
+    with contextlib.closing(RosInputs(config, clock=clock)) as inputs:
+        yield inputs
+
+
 def open_link(
-    config: OnboardConfig, vehicle: VehicleConfig, *, clock: Callable[[], float] = time.monotonic
+    config: OnboardConfig,
+    vehicle: VehicleConfig,
+    ros: RosInputs | None = None,
+    *,
+    clock: Callable[[], float] = time.monotonic,
 ) -> MavlinkLink:
-    """Connect to the autopilot; `clock` is the host time [s].
+    """Connect to the autopilot; `clock` is the host time [s], `ros` the result of `ros_inputs`.
 
     Raises:
         ImportError: pymavlink is not installed; names the extra to install.
@@ -37,8 +63,9 @@ def open_link(
     """
     settings, goal_senders, key = config.mavlink, _goal_senders(config), _signing_key(config)
     memory = None if key is None else SigningMemory(key)
+    odometry = None if ros is None else ros.odometry
     try:
-        return MavlinkLink(
+        link = MavlinkLink(
             settings.url,
             thrust_model(config, vehicle),
             baud=settings.baud,
@@ -49,12 +76,16 @@ def open_link(
             key=key,
             memory=memory,
             clock=clock,
+            place=None if odometry is None else odometry.place,
         )
     except OSError as error:
         raise OSError(
             f"can't open the connection to the autopilot, {settings.url} (mavlink.url): {error.strerror or error}; "
             "stop the program that uses it, or correct the URL."
         ) from error
+    if odometry is not None:
+        odometry.dropped = link.dropped
+    return link
 
 
 def make_sender(config: OnboardConfig, vehicle: VehicleConfig) -> MavlinkSender:
@@ -107,14 +138,18 @@ def thrust_model(config: OnboardConfig, vehicle: VehicleConfig) -> ThrustModel:
     return ThrustModel(vehicle.mass, vehicle.gravity, config.thrust.hover_thrust, config.thrust.curve)
 
 
-def open_lidar(config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> LivoxSource:
-    """Listen to the LiDAR; `clock` is the host time [s].
+def open_lidar(
+    config: OnboardConfig, ros: RosInputs | None = None, *, clock: Callable[[], float] = time.monotonic
+) -> PointSource:
+    """Listen to the LiDAR; `clock` is the host time [s], `ros` the result of `ros_inputs`.
 
     Raises:
         OSError: The port is in use, or the sensor's name has no address; says what to do.
         ValueError: The sensor's address is missing although other computers can reach the port.
     """
     settings = config.lidar
+    if ros is not None and ros.points is not None:
+        return ros.points
     sensor = None if settings.sensor == "any" else _resolve(settings.sensor, "lidar.sensor")
     if sensor is None and not is_loopback(settings.host):
         raise ValueError(

@@ -148,6 +148,11 @@ def encode_packet(
     return _HEADER.pack(*header) + payload
 
 
+def noise_mask(keep_uncertain: bool) -> int:
+    """Return the bits of a tag of which a point that is passed on has none."""
+    return _LIKELY_NOISE if keep_uncertain else _POSSIBLE_NOISE
+
+
 class LivoxSource:
     """Receives a Mid-360's points; implements `aero_planner.onboard.interfaces.PointSource`.
 
@@ -180,7 +185,7 @@ class LivoxSource:
         self.rejects = dict.fromkeys(Reject, 0)
         self._sensor = None if sensor is None else socket.gethostbyname(sensor)
         self._refused = 0
-        self._noise = _LIKELY_NOISE if keep_uncertain else _POSSIBLE_NOISE
+        self._noise = noise_mask(keep_uncertain)
         self._time = clock
         self._clock = HostClock()
         self._sequence = _Sequence()

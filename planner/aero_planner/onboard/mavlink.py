@@ -64,6 +64,8 @@ class MavlinkLink(MavlinkSender):
         key: Key of the signatures, 32 bytes; messages without a valid one are ignored. None accepts all.
         memory: What was accepted with this key before; None knows of nothing.
         clock: Host time [s].
+        place: Returns a sample of the autopilot with another position, velocity and attitude, such as
+            `RosOdometry.place`; None leaves its own.
 
     Raises:
         ImportError: pymavlink is not installed.
@@ -92,6 +94,7 @@ class MavlinkLink(MavlinkSender):
         key: bytes | None = None,
         memory: SigningMemory | None = None,
         clock: Callable[[], float] = time.monotonic,
+        place: Callable[[VehicleSample | None], VehicleSample | None] | None = None,
     ) -> None:
         load_dialect()  # raises before the transport is opened
         senders = ((system, None),) if goal_senders is None else goal_senders
@@ -117,7 +120,7 @@ class MavlinkLink(MavlinkSender):
         self.ignored: dict[str, int] = {}
         self.parameters: dict[str, float] = {}
         self._integers: set[str] = set()
-        self._receiver = StateReceiver(clock)
+        self._receiver, self._place = StateReceiver(clock), place
         self.dropped = self._receiver.dropped  # goals as well as states
         self._heartbeat_sent = self._requested = self._mode_requested = -np.inf
         self._arrived: dict[str, int] = {}  # number of usable messages since the last request, by name
@@ -125,7 +128,8 @@ class MavlinkLink(MavlinkSender):
     @property
     def state(self) -> VehicleSample | None:
         """See `VehicleLink`."""
-        return self._receiver.sample
+        sample = self._receiver.sample
+        return sample if self._place is None else self._place(sample)
 
     @property
     def vehicle_kind(self) -> str | None:

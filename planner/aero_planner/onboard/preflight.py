@@ -11,14 +11,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from numpy.typing import ArrayLike
 
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
-from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, thrust_model
+from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, ros_inputs, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.log_place import check_log_place
@@ -35,6 +35,9 @@ from aero_planner.onboard.px4_parameters import (
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
 from aero_planner.sweeps import sweeps_within
+
+if TYPE_CHECKING:
+    from aero_planner.onboard.ros import RosInputs
 
 T = TypeVar("T")
 
@@ -74,17 +77,21 @@ def preflight(
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
     checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(onboard), *_check_disk(log)]
     checks += [*_check_telemetry_port(onboard), *_check_receive_buffer(), _check_failsafe_process(planner, onboard)]
-    link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
-    lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
-    checks += [link_check, lidar_check]
-    try:
-        if link is not None and lidar is not None:
-            checks += [*check_inputs(link, lidar, onboard, goal=goal, listen=listen), *_check_autopilot(link, onboard)]
-            checks += _check_parameters(link, onboard, confirm)
-    finally:
+    with contextlib.ExitStack() as opened:
+
+        def open_ros() -> RosInputs | None:
+            return opened.enter_context(ros_inputs(onboard))
+
+        ros, ros_check = _open("ROS 2", open_ros)
+        link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle, ros))
+        lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard, ros))
+        checks += [*([] if ros is None and ros_check.ok else [ros_check]), link_check, lidar_check]
         for connection in (link, lidar):
             if connection is not None:
-                connection.close()
+                opened.callback(connection.close)
+        if link is not None and lidar is not None and ros_check.ok:
+            checks += [*check_inputs(link, lidar, onboard, goal=goal, listen=listen), *_check_autopilot(link, onboard)]
+            checks += _check_parameters(link, onboard, confirm)
     return CheckReport(tuple(checks), "Ready to fly.", "NOT ready to fly; see above.")
 
 

@@ -32,13 +32,17 @@ COSTS = "aero_viz_msgs/msg/Costs"
 SAFETY = "aero_planner_msgs/msg/Safety"
 
 _FLOAT32, _UINT32 = 7, 6
-_ADD, _LINE_STRIP = 0, 4
+_ADD, _LINE_STRIP, _TEXT = 0, 4, 9
 _GUIDE_COLOR = (0.95, 0.75, 0.2, 0.8)
 _ROLLOUT_COLOR = (0.3, 0.6, 1.0, 0.8)
 _BEST_COLOR = (0.2, 0.9, 0.4, 1.0)
 """Colours as red, green, blue, opacity."""
-_WIDTH, _BEST_WIDTH = 0.02, 0.05
+WIDTH, BEST_WIDTH = 0.02, 0.05
 """Widths of lines [m]."""
+_NO_TEXTURE = struct.pack("<IIB3xiIIB3xIB3xII", 0, 1, 0, 0, 0, 1, 0, 1, 0, 0, 0)
+"""No colors, and texture_resource, texture and uv_coordinates that are empty, from a multiple of 4 bytes on."""
+_NO_MESH = struct.pack("<IB3xIB3xIB", 1, 0, 1, 0, 0, 0)
+"""An empty mesh_resource and mesh_file, and mesh_use_embedded_materials, in the same way."""
 
 PLAN_DEFINITION = """\
 # Result of one tick of the planner. Arrays have one entry per instance of the ensemble, M in all.
@@ -138,7 +142,7 @@ def wall_time() -> float:
     return min(max(time.time(), 0.0), _SECONDS_MAX - 86_400.0)
 
 
-class _Writer:
+class CdrWriter:
     """Writes little-endian CDR: each number is aligned to its size, counted from the end of the 4-byte header."""
 
     def __init__(self) -> None:
@@ -176,6 +180,44 @@ class _Writer:
         w, x, y, z = np.asarray(quaternion, dtype=np.float64)
         self.pack("d", *np.asarray(position, dtype=np.float64), x, y, z, w)
 
+    def marker(
+        self,
+        identity: tuple[str, int],
+        stamp: int,
+        *,
+        scale: float,
+        color: ArrayLike,
+        line: ArrayLike = (),
+        text: str = "",
+        at: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Append a visualization_msgs/Marker in the world frame that stays until it is replaced.
+
+        Args:
+            identity: Namespace and id.
+            stamp: [ns].
+            scale: Width of the line, or height of the letters [m].
+            color: Red, green, blue and opacity.
+            line: Points of a line strip [m], shape [n, 3]; empty for a text.
+            text: A text that faces the viewer.
+            at: Where it stands [m], shape [3].
+        """
+        points = np.asarray(line, dtype=np.float64)
+        self.header(stamp, WORLD)
+        self.text(identity[0])
+        self.pack("i", identity[1], _LINE_STRIP if len(points) else _TEXT, _ADD)
+        self.pose(at, (1.0, 0.0, 0.0, 0.0))
+        self.pack("d", *((scale, 0.0, 0.0) if len(points) else (0.0, 0.0, scale)))
+        self.pack("f", *np.asarray(color, dtype=np.float64))
+        self.pack("I", 0, 0)  # lifetime: until replaced
+        self.pack("B", 0)  # frame_locked
+        self.pack("I", len(points))
+        self.array(points, "<f8", counted=False)
+        self._data += _NO_TEXTURE
+        self.text(text)
+        self._align(4)
+        self._data += _NO_MESH
+
     def done(self) -> bytes:
         """Return the message."""
         return bytes(self._data)
@@ -200,7 +242,7 @@ def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0
         stamp: [ns].
         rates: Body rates [rad/s], shape [3].
     """
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     writer.text(BODY)
     writer.pose(state.position, state.quaternion)
@@ -208,7 +250,7 @@ def pose_messages(state: VehicleState, stamp: int, *, rates: ArrayLike = (0.0, 0
     writer.pack("d", *rotate(conjugate(state.quaternion), state.velocity), *np.asarray(rates, dtype=np.float64))
     writer.array(np.zeros(36), "<f8", counted=False)
     yield Encoded("/odometry", ODOMETRY, writer.done())
-    writer = _Writer()
+    writer = CdrWriter()
     writer.pack("I", 1)
     writer.header(stamp, WORLD)
     writer.text(BODY)
@@ -224,31 +266,35 @@ def sweep(points: NDArray[np.float32], stamp: int, *, times: NDArray[np.uint32] 
         stamp: [ns].
         times: Time of each point after the stamp [ns], shape [n]; None for deskewed points.
     """
-    fields: list[tuple[str, Any]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    rows = np.empty(len(points), dtype=fields if times is None else [*fields, ("t", "<u4")])
-    for axis, (name, _) in enumerate(fields):
-        rows[name] = points[:, axis]
-    if times is not None:
-        rows["t"] = times
-    names: tuple[str, ...] = rows.dtype.names or ()
-    writer = _Writer()
-    writer.header(stamp, BODY)
-    writer.pack("I", 1, len(rows), len(names))
-    for index, name in enumerate(names):
+    return cloud("/sweep", BODY, points, stamp, more={} if times is None else {"t": times})
+
+
+def cloud(
+    topic: str, frame_id: str, points: NDArray[Any], stamp: int, *, more: Mapping[str, NDArray[Any]] | None = None
+) -> Encoded:
+    """Return points [m], shape [n, 3], with further fields of float32 or uint32, shape [n], at `stamp` [ns]."""
+    fields: dict[str, NDArray[Any]] = {name: points[:, axis] for axis, name in enumerate("xyz")} | dict(more or {})
+    kinds = {name: "<u4" if values.dtype.kind == "u" else "<f4" for name, values in fields.items()}
+    rows = np.empty(len(points), dtype=list(kinds.items()))
+    writer = CdrWriter()
+    writer.header(stamp, frame_id)
+    writer.pack("I", 1, len(rows), len(fields))
+    for index, (name, values) in enumerate(fields.items()):
+        rows[name] = values
         writer.text(name)
         writer.pack("I", 4 * index)
-        writer.pack("B", _UINT32 if name == "t" else _FLOAT32)
+        writer.pack("B", _UINT32 if kinds[name] == "<u4" else _FLOAT32)
         writer.pack("I", 1)
     writer.pack("B", 0)
     writer.pack("I", rows.itemsize, rows.nbytes)
     writer.array(np.frombuffer(rows.tobytes(), np.uint8), "|u1", counted=True)
     writer.pack("B", 1)
-    return Encoded("/sweep", CLOUD, writer.done())
+    return Encoded(topic, CLOUD, writer.done())
 
 
 def goal_message(goal: Goal, stamp: int) -> Encoded:
     """Return /goal at `stamp` [ns]. Without an attitude, the orientation is the identity."""
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     writer.pose(goal.position, (1.0, 0.0, 0.0, 0.0) if goal.quaternion is None else goal.quaternion)
     return Encoded("/goal", GOAL, writer.done())
@@ -269,20 +315,32 @@ def plan_messages(
         lines: Also yield guides and rollouts, which are ten times the size of the rest.
     """
     yield Encoded("/plan", PLAN, _summary(plan, stamp, plan_ms, config_version))
-    best = int(plan.best)
-    yield Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+    yield best_path(plan, stamp)
     if not {"goal", "collision"}.issuperset(plan.costs):
         yield Encoded("/plan/costs", COSTS, _costs(plan.costs, stamp))
     if lines:
-        if "guides" in plan.extensions:
-            yield Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
-        rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=best)
+        if (guides := guide_lines(plan, stamp)) is not None:
+            yield guides
+        rollouts = _lines("rollouts", plan.positions, stamp, color=_ROLLOUT_COLOR, best=int(plan.best))
         yield Encoded("/plan/rollouts", MARKERS, rollouts)
+
+
+def best_path(plan: Any, stamp: int) -> Encoded:
+    """Return /plan/best, the path that is flown, at `stamp` [ns]."""
+    best = int(plan.best)
+    return Encoded("/plan/best", PATH, _path(plan.positions[best], plan.quaternions[best], stamp))
+
+
+def guide_lines(plan: Any, stamp: int) -> Encoded | None:
+    """Return /plan/guides at `stamp` [ns]; None if the plan has none."""
+    if "guides" not in plan.extensions:
+        return None
+    return Encoded("/plan/guides", MARKERS, _lines("guides", plan.guides, stamp, color=_GUIDE_COLOR))
 
 
 def safety_change(change: StateChange, stamp: int) -> Encoded:
     """Return /safety, a transition of the safety state, at `stamp` [ns]."""
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     for text in (change.source.name, change.target.name, change.cause.value):
         writer.text(text)
@@ -290,7 +348,7 @@ def safety_change(change: StateChange, stamp: int) -> Encoded:
 
 
 def _summary(plan: Any, stamp: int, plan_ms: float, config_version: int) -> bytes:
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     writer.pack("I", len(plan.kinds))
     for kind in plan.kinds:
@@ -307,7 +365,7 @@ def _summary(plan: Any, stamp: int, plan_ms: float, config_version: int) -> byte
 
 
 def _costs(costs: Mapping[str, NDArray[Any]], stamp: int) -> bytes:
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     writer.pack("I", len(costs))
     for name in costs:
@@ -318,7 +376,7 @@ def _costs(costs: Mapping[str, NDArray[Any]], stamp: int) -> bytes:
 
 def _path(positions: NDArray[Any], quaternions: NDArray[Any], stamp: int) -> bytes:
     """Return a path of n poses in the world frame, from positions [m], shape [n, 3], and quaternions, shape [n, 4]."""
-    writer = _Writer()
+    writer = CdrWriter()
     writer.header(stamp, WORLD)
     writer.pack("I", len(positions))
     for position, quaternion in zip(positions, quaternions, strict=True):
@@ -332,26 +390,9 @@ def _lines(name: str, lines: NDArray[Any], stamp: int, *, color: tuple[float, ..
 
     A line keeps its id from plan to plan.
     """
-    writer = _Writer()
+    writer = CdrWriter()
     writer.pack("I", len(lines))
     for index, line in enumerate(lines):
-        writer.header(stamp, WORLD)
-        writer.text(name)
-        writer.pack("i", index, _LINE_STRIP, _ADD)
-        writer.pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
-        writer.pack("d", _BEST_WIDTH if index == best else _WIDTH, 0.0, 0.0)
-        writer.pack("f", *(_BEST_COLOR if index == best else color))
-        writer.pack("I", 0, 0)  # lifetime: until replaced
-        writer.pack("B", 0)  # frame_locked
-        writer.pack("I", len(line))
-        writer.array(line, "<f8", counted=False)
-        writer.pack("I", 0)  # colors
-        writer.text("")  # texture_resource
-        writer.header(0, "")  # texture
-        writer.text("")
-        writer.pack("I", 0, 0)  # data of texture, uv_coordinates
-        for _ in range(3):  # text, mesh_resource, name of mesh_file
-            writer.text("")
-        writer.pack("I", 0)  # data of mesh_file
-        writer.pack("B", 0)  # mesh_use_embedded_materials
+        width = BEST_WIDTH if index == best else WIDTH
+        writer.marker((name, index), stamp, scale=width, color=_BEST_COLOR if index == best else color, line=line)
     return writer.done()

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
-from aero_planner.onboard.connections import open_lidar, open_link
+from aero_planner.onboard.connections import open_lidar, open_link, ros_inputs
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import Observer
@@ -71,10 +71,11 @@ def run_node(
         with _planning_errors(device):
             planner = Planner(planner_config, device=device, seed=seed, threads=threads)
         resources.callback(planner.close)
+        ros = resources.enter_context(ros_inputs(onboard))
         # The node closes what it takes over; until then this stack does.
         opened = resources.enter_context(contextlib.ExitStack())
-        link = opened.enter_context(contextlib.closing(open_link(onboard, planner_config.vehicle)))
-        lidar = opened.enter_context(contextlib.closing(open_lidar(onboard)))
+        link = opened.enter_context(contextlib.closing(open_link(onboard, planner_config.vehicle, ros)))
+        lidar = opened.enter_context(contextlib.closing(open_lidar(onboard, ros)))
         observers = _open_observers(log, planner_config, onboard, opened)
         failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer, lambda: link.min_signing_time)
         opened.callback(failsafe.close)

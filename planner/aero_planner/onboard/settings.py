@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
-from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER
+from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER, TOPIC
 from aero_planner.parameters import (
     ContradictionError,
     ParameterSection,
     SectionedConfig,
+    choice,
     live,
     structural,
     switch,
@@ -21,8 +22,16 @@ from aero_planner.sweeps import THINNING
 
 @dataclass(frozen=True)
 class LidarSettings(ParameterSection, section="lidar"):
-    """LiDAR: network addresses, mounting, and the cloud made of its sweeps."""
+    """LiDAR: where its points come from, mounting, and the cloud made of its sweeps."""
 
+    source: str = choice(
+        "livox", ("livox", "ros"), "Where points come from: livox, the sensor's own packets; ros, lidar.topic of its "
+        "driver, which then owns the port.", live=False,
+    )  # fmt: skip
+    topic: str = text(
+        "/livox/lidar", TOPIC, "the name of a topic, such as /livox/lidar",
+        "Topic of ROS 2 with PointCloud2 or CustomMsg in the sensor's frame.",
+    )  # fmt: skip
     host: str = text(
         "0.0.0.0", ADDRESS, "an address of this computer",
         "Local address on which the packets of the sensor arrive; 0.0.0.0 stands for all addresses.",
@@ -76,6 +85,40 @@ class LidarSettings(ParameterSection, section="lidar"):
     def cloud_points_max(self) -> int:
         """Largest number of points from which the node plans."""
         return self.points_max + self.older_points_max // THINNING
+
+
+@dataclass(frozen=True)
+class StateSettings(ParameterSection, section="state"):
+    """Vehicle state: the autopilot's own, or an odometry in ROS 2."""
+
+    source: str = choice(
+        "mavlink", ("mavlink", "ros"), "Where position, velocity and attitude come from: mavlink, the autopilot; ros, "
+        "state.topic, which the autopilot fuses, too.", live=False,
+    )  # fmt: skip
+    topic: str = text(
+        "/Odometry", TOPIC, "the name of a topic, such as /Odometry", "Topic of ROS 2 with nav_msgs/Odometry."
+    )
+    pose: str = choice(
+        "sensor", ("sensor", "body"), "What the pose is of: sensor, the LiDAR as mounted, as FAST-LIO2's; body.",
+        live=False,
+    )  # fmt: skip
+    velocity: str = choice(
+        "positions", ("positions", "body", "world"), "Where the velocity comes from: positions, as for FAST-LIO2, "
+        "whose twist is empty; the twist in the frame of the body, as in ROS, or in that of the world.", live=False,
+    )  # fmt: skip
+    yaw: float = live(
+        0.0, "deg", -180.0, 180.0, "Direction of the odometry's x axis in the autopilot's local frame: 0 is north, -90 "
+        "east, as where MAVROS gives the odometry to the autopilot.",
+        label="Yaw of the odometry's frame",
+    )  # fmt: skip
+    agree_distance: float = live(
+        2.0, "m", 0.1, 1e4, "Distance from the autopilot's own position beyond which the odometry is not used.",
+        label="Largest disagreement of the position",
+    )  # fmt: skip
+    agree_angle: float = live(
+        15.0, "deg", 1.0, 180.0, "Angle from the autopilot's own attitude beyond which the odometry is not used.",
+        label="Largest disagreement of the attitude",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -301,6 +344,7 @@ class OnboardConfig(SectionedConfig):
     listing: ClassVar[str] = "aero-planner config show"
 
     lidar: LidarSettings = field(default_factory=LidarSettings)
+    state: StateSettings = field(default_factory=StateSettings)
     mavlink: MavlinkSettings = field(default_factory=MavlinkSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     thrust: ThrustSettings = field(default_factory=ThrustSettings)

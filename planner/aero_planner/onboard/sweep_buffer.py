@@ -203,12 +203,19 @@ class SweepBuffer:
 
 def make_sweep_buffer(config: OnboardConfig) -> SweepBuffer:
     """Return an empty sweep buffer for the LiDAR as it is mounted."""
-    lidar = config.lidar
+    lidar, (position, quaternion) = config.lidar, lidar_mount(config)
     return SweepBuffer(
         lidar.sweeps,
         lidar.sweep_period,
         lidar.points_max,
         older_sweeps=lidar.older_sweeps,
-        mount_position=(lidar.mount_x, lidar.mount_y, lidar.mount_z),
-        mount_quaternion=quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw),
+        mount_position=position,
+        mount_quaternion=quaternion,
     )
+
+
+def lidar_mount(config: OnboardConfig) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return position [m], [3], and attitude, w x y z, of the LiDAR in the body frame."""
+    lidar = config.lidar
+    position = np.array([lidar.mount_x, lidar.mount_y, lidar.mount_z])
+    return position, quaternion_from_angles(lidar.mount_roll, lidar.mount_pitch, lidar.mount_yaw)

@@ -14,7 +14,7 @@ from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.parameters import ParameterInfo
 from tests.planner.config_cases import configs, write
 
-NUMBERS = [info for info in OnboardConfig.parameters() if not info.pattern and not isinstance(info.default, bool)]
+NUMBERS = [info for info in OnboardConfig.parameters() if info.is_number]
 
 every_setting = pytest.mark.parametrize("info", OnboardConfig.parameters(), ids=lambda info: info.path)
 every_number = pytest.mark.parametrize("info", NUMBERS, ids=lambda info: info.path)
