@@ -14,7 +14,7 @@ from aero_planner.output_files import check_output_files
 from aero_planner.plain_text import say
 from aero_viz.cli.flags import ConfigFlags, Inline, OptionalBox, OptionalInt, OptionalPath, OptionalPose, OptionalText
 from aero_viz.cli.output import print_report
-from aero_viz.cli.serving import WATCHING, PageFlags, announce, serve_foxglove, shutdown_event, wait_for
+from aero_viz.cli.serving import WATCHING, PageFlags, announce, serve_others, shutdown_event, wait_for
 from aero_viz.errors import UserError
 from aero_viz.text_table import format_table
 
@@ -141,7 +141,7 @@ def live(
             session.record(record).result()
         dashboard = Dashboard(session, live=LiveOffer(Path.cwd()), **page_flags.server_options)
         stack.callback(dashboard.close)
-        serve_foxglove(stack, session, page_flags)
+        serve_others(stack, session, page_flags)
         announce(stream.name, dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         inspector = Inspector(session, wanted)
