@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -234,8 +235,16 @@ def drone_clearance(frame: Frame) -> float:
     return float(np.clip(distance, 0.0, CLEARANCE_MAX))
 
 
-def effective_samples(plan: Plan, instance: int, temperature: float) -> float:
-    """Return the effective number of samples of an instance in Stage I, 1 / sum(w^2) with w the weights."""
+def effective_samples(plan: Plan, instance: int, temperature: float | None = None) -> float:
+    """Return the effective number of samples of an instance in Stage I, 1 / sum(w^2) with w the weights.
+
+    Args:
+        plan: with the costs of the samples.
+        instance: its index.
+        temperature: of the weights; None is that of the plan. NaN where neither is known.
+    """
+    if temperature is None:
+        temperature = math.nan if plan.temperature is None else float(plan.temperature[instance])
     cost = np.asarray(plan.stage1_cost[instance], dtype=np.float64)
     weights = np.exp(-(cost - cost.min()) / temperature)
     return float(weights.sum() ** 2 / (weights**2).sum())
@@ -247,7 +256,7 @@ def _row(frame: Frame) -> Rows:
     full, config, clear, effective = ensemble(plan), frame.config, np.nan, np.nan
     if full is not None and isinstance(config, PlannerConfig):
         clear = np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance)
-        effective = effective_samples(full, best, config.sampling.temperature)
+        effective = effective_samples(full, best)
     return np.array(
         (
             frame.time,
