@@ -68,8 +68,8 @@ def _effective(plans: Sequence[Plan], config: PlannerConfig) -> Reading:
         else "The update averages good and bad samples alike: average over fewer."
     )
     advice = Advice("sampling.effective_samples", float(round(0.05 * count)))
-    if size < low and asked > low:  # the largest temperature limits it
-        advice = Advice("sampling.temperature", _temperature_for(plans[-1], asked))
+    if size < low:  # the largest temperature limits it
+        advice = Advice("sampling.temperature", _temperature_for(plans[-1], asked or 0.12 * count))
     value, healthy = f"{size:.1f} of {count}", f"{low:.0f} to {high:.0f}"
     return _reading("effective samples", value, healthy, meaning, low <= size <= high, advice)
 

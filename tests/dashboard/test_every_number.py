@@ -126,7 +126,8 @@ def check_evidence(evidence: Evidence) -> None:
     reach = np.maximum(plan.clearance.max(), costs.distance_max - 1e-3)
     np.testing.assert_allclose(np.minimum(evidence.distance, reach), np.minimum(plan.clearance, reach), atol=2e-3)
     excess = plan.stage1_cost - plan.stage1_cost.min(axis=1, keepdims=True)
-    weights = np.exp(-excess.astype(np.float64) / frame.config.sampling.temperature)
+    assert plan.temperature is not None
+    weights = np.exp(-excess.astype(np.float64) / plan.temperature[:, None])
     weights /= weights.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(evidence.weights, weights, atol=2e-3)
     np.testing.assert_array_equal(frame.is_safe, evidence.is_safe)
@@ -241,7 +242,8 @@ def check_curves(page: Dashboard, frame: Frame, truth: dict[str, float]) -> None
     page.history.add(frame)
     shown = unescape(re.sub("<[^>]*>", " ", content_of(page, ChartPanel, frame)))
     plan, best = plan_of(frame), int(frame.plan.best)
-    weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / frame.config.sampling.temperature)
+    assert plan.temperature is not None
+    weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / plan.temperature[best])
     expected = {
         r"speed \[m/s\]": (truth["speed"], 0.006),
         r"true clearance \[m\]": (truth["clearance"], 0.006),

@@ -96,7 +96,8 @@ def anchor_directions(position: Array, velocity: Array, goal: Array, config: Pla
     """
     a, (x, y, z) = config.anchors, goal - position
     is_spread = "way_out" in config.stages.names and np.linalg.norm(velocity) < 3.0
-    across = up = config.way_out.spread if is_spread else 1.0
+    across = config.way_out.spread if is_spread else 1.0
+    up = 1.0 + 1.5 * (across - 1.0)
     spacing = np.radians(a.spacing)
     azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing * across
     elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * spacing * up

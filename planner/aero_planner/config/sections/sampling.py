@@ -22,7 +22,7 @@ class SamplingConfig(ParameterSection, section="sampling"):
         label="Time step", symbol="dt", group="Horizon",
     )  # fmt: skip
     temperature: float = live(
-        100.0, "", 1e-3, 1e3, "Temperature of the weights, the largest one if effective_samples is not 0: higher "
+        30.0, "", 1e-3, 1e3, "Temperature of the weights, the largest one if effective_samples is not 0: higher "
         "values average over more samples; 0.1 in the paper.",
         scale="log", symbol="lambda", group="Noise and weights",
     )  # fmt: skip

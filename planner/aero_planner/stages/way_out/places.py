@@ -72,7 +72,7 @@ def look_around(b: int, s: Spread, views: Any, c: Any) -> Spread:
     """
     if s.speed < _SLOW:
         s.columns *= c.spread
-        s.rows *= c.spread
+        s.rows *= 1.0 + 1.5 * (c.spread - 1.0)  # the way out may lead over the obstacle
         if c.q_escape > 0.0 and escape_depth(s.p, b, views.way_out, c.radius) > 0.0:
             s.clip = 1
     return s

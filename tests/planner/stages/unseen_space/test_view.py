@@ -77,7 +77,9 @@ def test_unknown_space_is_avoided_like_a_surface(device: str):
     free = case.plan(Planner(config_of(**SLOW), device=device))
     narrow = case.plan(Planner(config_of(unseen_space__view="-7 52 60", sampling__samples=64, **SLOW), device=device))
     assert free.collision_cost[:15].max() == 0.0
-    x, y, _ = np.moveaxis(narrow.positions[:15][narrow.collision_cost[:15] < config_of().costs.penalty] - case.position, 2, 0)
+    x, y, _ = np.moveaxis(
+        narrow.positions[:15][narrow.collision_cost[:15] < config_of().costs.penalty] - case.position, 2, 0
+    )
     is_far = np.hypot(x, y) > UNKNOWN
     assert x.size > 0 and (np.degrees(np.abs(np.arctan2(y, x)))[is_far] < 30.0).all()
     assert narrow.controls[narrow.best, :5, 3].mean() > 1.0, "turns to the left"
