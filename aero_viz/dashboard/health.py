@@ -59,15 +59,17 @@ def _mean(plans: Sequence[Plan], value: Callable[[Plan], float]) -> float:
 
 
 def _effective(plans: Sequence[Plan], config: PlannerConfig) -> Reading:
-    count, temperature = config.sampling.samples, config.sampling.temperature
-    size = _mean(plans, lambda plan: effective_samples(plan, plan.best, temperature))
-    low, high = 0.04 * count, 0.5 * count
+    count, asked = config.sampling.samples, config.sampling.effective_samples
+    size = _mean(plans, lambda plan: effective_samples(plan, plan.best))
+    low, high = (0.04 * count, 0.5 * count) if asked == 0.0 else (min(2.0, 0.5 * asked), 0.5 * count)
     meaning = (
         "The update takes the best sample alone, and its noise: raise the temperature."
         if size < low
-        else "The update averages good and bad samples alike: lower the temperature."
+        else "The update averages good and bad samples alike: average over fewer."
     )
-    advice = Advice("sampling.temperature", _temperature_for(plans[-1], 0.12 * count))
+    advice = Advice("sampling.effective_samples", float(round(0.05 * count)))
+    if size < low:  # the largest temperature limits it
+        advice = Advice("sampling.temperature", _temperature_for(plans[-1], asked or 0.12 * count))
     value, healthy = f"{size:.1f} of {count}", f"{low:.0f} to {high:.0f}"
     return _reading("effective samples", value, healthy, meaning, low <= size <= high, advice)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -130,7 +131,7 @@ def _of_ensemble(frame: Frame, best: int) -> Iterator[tuple[str, float]]:
     plan, config = ensemble(frame.plan), frame.config
     if plan is not None and isinstance(config, PlannerConfig):
         yield "clear", float(np.count_nonzero(plan.clearance.min(axis=1) >= config.candidates.safe_clearance))
-        yield "samples", effective_samples(plan, best, config.sampling.temperature)
+        yield "samples", effective_samples(plan, best)
         yield "speed_limit", config.vehicle.speed_limit
 
 
@@ -175,8 +176,16 @@ def drone_clearance(frame: Frame) -> float:
     return float(np.clip(distance, 0.0, CLEARANCE_MAX))
 
 
-def effective_samples(plan: Plan, instance: int, temperature: float) -> float:
-    """Return the effective number of samples of an instance in Stage I, 1 / sum(w^2) with w the weights."""
+def effective_samples(plan: Plan, instance: int, temperature: float | None = None) -> float:
+    """Return the effective number of samples of an instance in Stage I, 1 / sum(w^2) with w the weights.
+
+    Args:
+        plan: with the costs of the samples.
+        instance: its index.
+        temperature: of the weights; None is that of the plan. NaN where neither is known.
+    """
+    if temperature is None:
+        temperature = math.nan if plan.temperature is None else float(plan.temperature[instance])
     cost = np.asarray(plan.stage1_cost[instance], dtype=np.float64)
     weights = np.exp(-(cost - cost.min()) / temperature)
     return float(weights.sum() ** 2 / (weights**2).sum())

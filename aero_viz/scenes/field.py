@@ -19,19 +19,23 @@ AREA = ((2.5, 42.5), (-20.0, 20.0))
 """Ranges of x and y in which obstacles stand [m]."""
 CLEAR_RADIUS = 2.5
 """Free distance around start and goal [m]."""
-GROUND = (22.5, 0.0, -0.5, 85.0, 80.0, 1.0, 0.0)
-"""Box of the ground: its top is z = 0, and it extends 20 m or more beyond start, goal and area."""
 
 Rows = NDArray[np.float64]
 Obstacle = Mapping[str, Rows]
 """Rows of the tables of a `World` that make up one obstacle, by table."""
 Draw = Callable[[], Obstacle]
 Position = tuple[float, float, float]
+Area = tuple[tuple[float, float], tuple[float, float]]
 
 
-def place(rng: np.random.Generator) -> Rows:
-    """Return a uniform place of the area at z = 0 [m], [3]."""
-    return np.array([rng.uniform(*AREA[0]), rng.uniform(*AREA[1]), 0.0])
+def place(rng: np.random.Generator, area: Area = AREA) -> Rows:
+    """Return a uniform place of an area at z = 0 [m], [3]."""
+    return np.array([rng.uniform(*area[0]), rng.uniform(*area[1]), 0.0])
+
+
+def ground_box(goal: Position) -> Rows:
+    """Return the box [7] of the ground: its top is z = 0, and it extends 20 m or more beyond start, goal and area."""
+    return np.array([0.5 * goal[0], 0.0, -0.5, goal[0] + 40.0, 80.0, 1.0, 0.0])
 
 
 def leaning_axis(rng: np.random.Generator, tilt: tuple[float, float]) -> Rows:
@@ -72,16 +76,16 @@ def field_world(
         options: further arguments of `World`.
     """
     rows: dict[str, list[Rows]] = {}
-    for obstacle in [*obstacles, {"boxes": np.array([GROUND])}] if ground else obstacles:
+    for obstacle in [*obstacles, {"boxes": ground_box(goal)[None]}] if ground else obstacles:
         for table, part in obstacle.items():
             rows.setdefault(table, []).append(part)
     tables = {table: np.concatenate(parts) for table, parts in rows.items()}
     return World(name, np.array(START), np.array(goal), **tables, **options)
 
 
-def uniform_field(name: str, draw: Draw, count: int, *, ground: bool) -> World:
+def uniform_field(name: str, draw: Draw, count: int, *, ground: bool, goal: Position = GOAL) -> World:
     """Return the world of obstacles of one kind on the field, see `field_world`."""
-    return field_world(name, scatter([draw] * count), ground=ground)
+    return field_world(name, scatter([draw] * count, goal=goal), ground=ground, goal=goal)
 
 
 def _is_clear(obstacle: Obstacle, *, goal: Position) -> bool:

@@ -14,6 +14,7 @@ from aero_viz.errors import UserError
 from aero_viz.registry import Registry
 from aero_viz.scenes import built_fields, obstacle_fields, rooms
 from aero_viz.scenes.field import (
+    AREA,
     CLEAR_RADIUS,
     GOAL,
     START,
@@ -45,6 +46,19 @@ def forest(*, seed: int, count: int = 100, tilt_max: float = 15.0, ground: bool 
     """
     rng = np.random.default_rng(seed)
     return uniform_field(f"forest-{count}-{seed}", partial(tree, rng, tilt_max), count, ground=ground)
+
+
+def long_forest(*, seed: int, count: int = 200, tilt_max: float = 15.0, ground: bool = True) -> World:
+    """Return a forest as `forest` has it, 200 m long and 40 m wide, for fast flights.
+
+    Args:
+        seed: same seed, same forest.
+        count: number of trees.
+        tilt_max: largest angle between a trunk and the vertical [deg]; the angle is uniform from 0.
+        ground: True adds the ground, a box whose top is z = 0.
+    """
+    draw = partial(tree, np.random.default_rng(seed), tilt_max, ((2.5, 202.5), AREA[1]))
+    return uniform_field(f"long_forest-{count}-{seed}", draw, count, ground=ground, goal=(205.0, 0.0, 2.0))
 
 
 def verticals(
@@ -180,6 +194,7 @@ def _accept(name: str, found: Any) -> SceneKind:
 _room = partial(SceneKind, clear_radius=rooms.CLEAR_RADIUS)
 _SHIPPED: dict[str, SceneKind | str] = {
     "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m.", forest),
+    "long_forest": SceneKind("200 trees of the forest on 200 m x 40 m, for fast flights.", long_forest),
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide. Extremely dense.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees. Dense.", inclines),
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),

@@ -12,6 +12,7 @@ from aero_viz.scenes.built_fields import WINDOW, building, window_wall
 from aero_viz.scenes.field import (
     AREA,
     GOAL,
+    Area,
     Draw,
     Obstacle,
     Rows,
@@ -130,12 +131,12 @@ def mixture(*, seed: int, count: int = 60, ground: bool = True) -> World:
     return field_world(f"mixture-{count}-{seed}", scatter(islice(cycle(kinds), count)), ground=ground)
 
 
-def tree(rng: np.random.Generator, tilt_max: float) -> Obstacle:
-    """Return a tree of the forest, whose trunk leans by at most `tilt_max` [deg]."""
+def tree(rng: np.random.Generator, tilt_max: float, area: Area = AREA) -> Obstacle:
+    """Return a tree of a forest, whose trunk leans by at most `tilt_max` [deg]."""
     scale = rng.uniform(0.7, 1.3)
     axis = leaning_axis(rng, (0.0, tilt_max))
     height = scale * rng.uniform(5.0, 8.0)
-    base = place(rng)
+    base = place(rng, area)
     radius = scale * rng.uniform(0.8, 1.4, size=4)
     spread = rng.uniform(-1.0, 1.0, size=(4, 3)) * scale * np.array([0.8, 0.8, 0.6])
     centre = base + height * axis + spread

@@ -39,7 +39,7 @@ from aero_planner.kernels.sweep_change import SweepChange
 class PlannerInputs:
     """Problem of each drone, world frame. The cloud is separate, see `Planner.points`."""
 
-    time: wp.array = array(wp.float64, "B", "s", "Stamp of the state; NaN: one replan_period after the previous one.")
+    time: wp.array = array(wp.float64, "B", "s", "Stamp of the state; NaN: 0.02 s after the previous one.")
     position: wp.array = array(wp.vec3, "B", "m", "p.")
     velocity: wp.array = array(wp.vec3, "B", "m/s", "v.")
     quaternion: wp.array = array(wp.vec4, "B", "", "q, w x y z, body to world; need not be normalised.")
@@ -104,6 +104,7 @@ class PlannerOutputs:
     velocities: wp.array = array(wp.vec3, "B R N+1", "m/s", "Stage II rollouts, world frame.")
     quaternions: wp.array = array(wp.vec4, "B R N+1", "", "Stage II rollouts, w x y z, body to world.")
     stage1_cost: wp.array = array(wp.float32, "B*M L", "", "S1 of every sample.")
+    temperature: wp.array = array(wp.float32, "B M", "", "Temperature of the weights in Stage I.")
     stage2_cost: wp.array = array(wp.float32, "B R", "", "S2.")
     goal_cost: wp.array = array(wp.float32, "B R", "", "J_goal.")
     collision_cost: wp.array = array(wp.float32, "B R", "", "J_col.")

@@ -62,7 +62,8 @@ class Composition:
 def _compose(model: str, stage_names: tuple[str, ...]) -> Composition:
     stages = tuple(registry.load_stage(name) for name in stage_names)
     brought = tuple(registry.load("cost_terms", name) for name in registry.names("cost_terms"))
-    terms = (*TERMS, *(term for stage in stages for term in stage.terms), *brought)
+    known = (*TERMS, *(term for stage in stages for term in stage.terms), *brought)
+    terms = tuple(term for term in known if term.model in ("", model))
     viewed = {stage.name: stage.view for stage in stages if stage.view is not None}
     annotations = viewed or {"none": wp.int32}  # a struct has at least one field
     names = {"__annotations__": annotations, "__module__": __name__}

@@ -215,7 +215,10 @@ class _Stages:
                 first, sizes.M, r.problem, r.params, r.views, as_scalars(w.nominal_controls), sample_controls,
                 w.sample_positions, w.sample_clearance_cost,
             ],
-            outputs=[o.stage1_cost, w.sample_weights, as_vectors(w.sample_weights, width), as_scalars(o.controls)],
+            outputs=[
+                o.stage1_cost, o.temperature, w.sample_weights, as_vectors(w.sample_weights, width),
+                as_scalars(o.controls),
+            ],
             block_dim=threads,
         )  # fmt: skip
 

@@ -26,7 +26,7 @@ class VehicleState:
         quaternion: q, body to world, order w, x, y, z, shape [4]; need not be normalised.
         acceleration: a [m/s^2], shape [3], measured; None means unknown: guides begin without any.
         time: stamp of the state [s], from which follows how far the previous plan has been flown. None means one
-            `sampling.replan_period` after the previous state.
+            0.02 s after the previous state.
         disturbance: acceleration that neither thrust nor gravity explains [m/s^2], shape [3]; None means that the
             planner estimates it from the acceleration. Drag is a part of it, see `disturbance.drag_time`.
     """
@@ -141,6 +141,9 @@ class PlanArrays:
     """Attitudes of the Stage II rollouts, body to world, w x y z, shape [M, N+1, 4]."""
     stage1_cost: Array
     """S1 of every sample, shape [M, K]."""
+    temperature: Array | None = field(default_factory=_none, kw_only=True)
+    """Temperature of the weights of every instance in Stage I, shape [M]; None in plans of a drone with an older
+    version."""
     stage2_cost: Array
     """S2 of every instance, shape [M]: J_goal + J_col, and the terms of the options that are on."""
     goal_cost: Array

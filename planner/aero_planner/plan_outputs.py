@@ -23,7 +23,7 @@ _PER_INSTANCE = frozenset({
 _OF_GUIDES = frozenset({"anchors", "guide_coefficients", "guides"})
 """Arrays in which a plan shows those of what is flown in the place of the instance that it has replaced."""
 _ARRAYS = _PER_INSTANCE | {
-    "fine_range", "safe_range", "safe_direction", "filtered_points", "stage1_cost",
+    "fine_range", "safe_range", "safe_direction", "filtered_points", "stage1_cost", "temperature",
 }  # fmt: skip
 
 

@@ -125,7 +125,8 @@ def check_evidence(evidence: Evidence) -> None:
     reach = np.maximum(plan.clearance.max(), costs.distance_max - 1e-3)
     np.testing.assert_allclose(np.minimum(evidence.distance, reach), np.minimum(plan.clearance, reach), atol=2e-3)
     excess = plan.stage1_cost - plan.stage1_cost.min(axis=1, keepdims=True)
-    weights = np.exp(-excess.astype(np.float64) / frame.config.sampling.temperature)
+    assert plan.temperature is not None
+    weights = np.exp(-excess.astype(np.float64) / plan.temperature[:, None])
     weights /= weights.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(evidence.weights, weights, atol=2e-3)
     np.testing.assert_array_equal(frame.is_safe, evidence.is_safe)
@@ -239,7 +240,8 @@ def check_figures(page: Dashboard, frame: Frame, truth: dict[str, float]) -> Non
 def check_curves(page: Dashboard, frame: Frame, truth: dict[str, float]) -> None:
     page.history.add(frame)
     plan, best = plan_of(frame), int(frame.plan.best)
-    weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / frame.config.sampling.temperature)
+    assert plan.temperature is not None
+    weights = np.exp(-(plan.stage1_cost[best] - plan.stage1_cost[best].min()) / plan.temperature[best])
     thrust, *rates = plan.controls[best, 0]
     expected = {
         "speed": truth["speed"],

@@ -9,9 +9,11 @@ import warp as wp
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from aero_planner.config import Value
+from aero_planner.kernels.prediction import UNSTAMPED_PERIOD
 from aero_planner.kernels.sweep_change import RECENT, RecentRows, SweepChange
 from tests.planner.reference import Array, rotation, unit
 
+PERIOD = float(UNSTAMPED_PERIOD)
 SMALL: dict[str, Value] = {"sampling.samples": 16, "disturbance.disturbance_time": 0.0, "disturbance.drag_time": 0.0}
 """Few samples keep tests fast; only statistics depend on K. Cases do not follow each other as the states of a drone do,
 so that the differences of their accelerations from those of the last plan are no disturbances."""

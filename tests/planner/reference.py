@@ -96,7 +96,8 @@ def anchor_directions(position: Array, velocity: Array, goal: Array, config: Pla
     """
     a, (x, y, z) = config.anchors, goal - position
     is_spread = "way_out" in config.stages.names and np.linalg.norm(velocity) < 3.0
-    across, up = (config.way_out.spread, config.way_out.rise) if is_spread else (1.0, 1.0)
+    across = config.way_out.spread if is_spread else 1.0
+    up = 1.0 + 1.5 * (across - 1.0)
     spacing = np.radians(a.spacing)
     azimuth = np.arctan2(y, x) + (np.arange(a.columns) - (a.columns - 1) / 2) * spacing * across
     elevation = np.arctan2(z, np.hypot(x, y)) + (np.arange(a.rows) - (a.rows - 1) / 2) * spacing * up
@@ -270,9 +271,16 @@ def J_ctrl(u: Array, config: PlannerConfig) -> Array:
 
 
 def J_jump(u: Array, command: Array, config: PlannerConfig) -> Array:
-    """Return q_control_jump |omega_0 - omega|^2 of the first control of a plan and the command in force."""
-    jump = config.costs.q_control_jump * ((u[0, 1:] - command[1:]) ** 2).sum()
-    return np.append(jump, np.zeros(len(u) - 1))
+    """Return q_control_jump |omega_0 - omega|^2 + q_thrust_jump (F_0 - F)^2, from the command in force to the first."""
+    c, squares = config.costs, (u[0] - command) ** 2
+    return np.append(c.q_control_jump * squares[1:].sum() + c.q_thrust_jump * squares[0], np.zeros(len(u) - 1))
+
+
+def J_tilt(q: Array, config: PlannerConfig) -> Array:
+    """Return 1000 max(0, cos(highest + 8 deg) - e_z)^2 with the stage unseen_space, with e_z as seen from the world."""
+    highest = max(view.highest for view in config.unseen_space.views)
+    excess = np.cos(np.radians(highest + 8.0)) - np.array([rotation(x)[2, 2] for x in q])
+    return ("unseen_space" in config.stages.names) * 1000.0 * np.maximum(excess, 0.0) ** 2
 
 
 def J_position(p: Array, p_goal: Array, config: PlannerConfig) -> Array:
@@ -336,11 +344,14 @@ def J_escape(p: Array, places: Array, nearest: float, goal: Array, config: Plann
     return float(config.way_out.q_escape * share * depth * min(1.0, distance / (0.5 * radius)))
 
 
-def S2(x: Rollout, p_goal: Array, v_goal: Array, q_goal: Array, points: Array, config: PlannerConfig) -> float:
+def S2(
+    x: Rollout, u: Array, goal: tuple[Array, Array, Array], points: Array, command: Array, config: PlannerConfig
+) -> float:
     """Return J_goal + J_col and the terms of the options, without places to escape from."""
     d = clearance(x.p, points, config.costs.distance_max)
-    steps = J_goal(x, p_goal, v_goal, q_goal, config) + J_col(d, config) + J_speed(x.v, config)
-    return float(steps.sum()) + J_blocked(x.p[-1], p_goal, points, config)
+    steps = J_goal(x, *goal, config) + J_col(d, config) + J_speed(x.v, config)
+    steps += J_jump(u, command, config) + J_tilt(x.q, config)
+    return float(steps.sum()) + J_blocked(x.p[-1], goal[0], points, config)
 
 
 def S1(
@@ -349,12 +360,13 @@ def S1(
     guide: Array | None,
     goal: tuple[Array, Array, Array],
     points: Array,
+    command: Array,
     config: PlannerConfig,
 ) -> float:
     """Return J_track + J_vnorm + J_ctrl + S2, without J_track if there is no guide."""
     track = 0.0 if guide is None else J_track(x.p, guide, config).sum()
     effort = J_vnorm(x.v, config).sum() + J_ctrl(u, config).sum()
-    return float(track + effort) + S2(x, *goal, points, config)
+    return float(track + effort) + S2(x, u, goal, points, command, config)
 
 
 def softmin(S: Array, temperature: float) -> Array:

@@ -98,8 +98,8 @@ def test_ground_is_an_option(name):
 
 
 PRIMITIVES_OF_FOUR = {
-    "forest": 4 * 5, "slope": 4 * 5, "wires": 4 * 3, "branches": 4 * 13, "windows": 4 * 10, "crowns": 4 * 6 + 2,
-    "mixture": 3 + 5 + 13 + 6,
+    "forest": 4 * 5, "long_forest": 4 * 5, "slope": 4 * 5, "wires": 4 * 3, "branches": 4 * 13, "windows": 4 * 10,
+    "crowns": 4 * 6 + 2, "mixture": 3 + 5 + 13 + 6,
 }  # fmt: skip
 """Primitives of four obstacles, where an obstacle has several."""
 

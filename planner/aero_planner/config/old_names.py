@@ -14,7 +14,6 @@ RENAMED: dict[str, str] = {
     "anchors.slow_spread": "way_out.spread",
     "escape.q_escape": "way_out.q_escape",
     "escape.radius": "way_out.radius",
-    "escape.rise": "way_out.rise",
     "escape.patience": "way_out.patience",
     "candidates.stop_clearance": "stop_proof.stop_clearance",
 }
@@ -23,7 +22,6 @@ RENAMED: dict[str, str] = {
 CHANGED: dict[str, str] = {
     "partition.continue_below": "holds for both edges of the view",
     "vehicle.rate_xy_lag": "holds for all body rates",
-    "escape.rise": "holds wherever the drone is slow",
 }
 """What is different about a renamed parameter, by its old path."""
 
@@ -56,7 +54,8 @@ REMOVED: dict[str, str] = {
         ),
         _FIXED,
     ),
-    "anchors.slow_rise": "way_out.rise holds wherever the drone is slow",
+    **dict.fromkeys(("anchors.slow_rise", "escape.rise", "way_out.rise"), "way_out.spread holds for the rows, too"),
+    "sampling.replan_period": "states without a time count as 0.02 s apart; give VehicleState.time",
     "partition.continue_above": "unseen_space.continuation holds for both edges of the view",
     "costs.floor": "the ground height now comes from the world or the drone, and costs.use_ground enables it",
     "partition.range_time": "the range follows from the look-ahead distance",

@@ -54,6 +54,7 @@ class CostTerm:
         obstacle: (d, c) -> cost of a time step with clearance d [m].
         terminal: (e: End, views, c) -> cost of the end. `views` are the arrays of the active stages.
         parameters: section of the term's own parameters, such as its weight; None if it has none.
+        model: vehicle model whose controls the term reads; others do without it. Empty for all.
     """
 
     name: str
@@ -65,3 +66,4 @@ class CostTerm:
     obstacle: Callable[..., Any] | None = None
     terminal: Callable[..., Any] | None = None
     parameters: type[ParameterSection] | None = None
+    model: str = ""

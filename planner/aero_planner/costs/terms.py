@@ -93,12 +93,13 @@ def speed_cost(s: Step, c: Any) -> float:
 
 @wp.func
 def control_jump_cost(s: Step, c: Any) -> float:
-    """Return q_control_jump |omega_0 - omega|^2, from the command in force to the first one of a plan.
+    """Return q_control_jump |omega_0 - omega|^2 + q_thrust_jump (F_0 - F)^2 for the first control of a plan.
 
-    The paper does not have it. Jumps of the thrust are free: a price on them keeps a drone climbing that has begun to.
+    F and omega are those of the command in force. The paper does not have it.
     """
     du = s.u - s.u_before
-    return wp.where(s.t == 0, c.q_control_jump, 0.0) * (du[1] * du[1] + du[2] * du[2] + du[3] * du[3])
+    jump = c.q_thrust_jump * du[0] * du[0] + c.q_control_jump * (du[1] * du[1] + du[2] * du[2] + du[3] * du[3])
+    return wp.where(s.t == 0, jump, 0.0)
 
 
 @wp.func
@@ -120,7 +121,7 @@ TERMS = (
     CostTerm("goal_attitude", "goal attitude", "J_goal", running=goal_attitude_cost),
     CostTerm("obstacles", "obstacles", "J_col", obstacle=collision_cost),
     CostTerm("speed_limit", "speed limit", running=speed_cost),
-    CostTerm("control_jump", "control jump", running=control_jump_cost),
+    CostTerm("control_jump", "control jump", running=control_jump_cost, model="ctbr"),
     CostTerm("blocked_path", "blocked path", terminal=blocked_path_cost),
 )
 """In the order in which sums and bars list them."""

@@ -36,7 +36,7 @@ class Problem:
     """What is given for a plan, world frame, SI units; see `arrays.PlannerInputs`."""
 
     active: wp.array(dtype=int)  # [B], 0 for drones for which nothing is planned
-    time: wp.array(dtype=wp.float64)  # [B], stamp of the state; NaN: one replan_period after the previous one
+    time: wp.array(dtype=wp.float64)  # [B], stamp of the state; NaN: 0.02 s after the previous one
     position: wp.array(dtype=wp.vec3)  # [B]
     velocity: wp.array(dtype=wp.vec3)  # [B]
     quaternion: wp.array(dtype=wp.vec4)  # [B], need not be normalised

@@ -12,7 +12,7 @@ from aero_planner.device.params import Params
 from aero_planner.device.records import Cells, PreviousPlan, Problem, Start
 from aero_planner.device.rotations import heading, quat_from_heading, quat_inverse_rotate, quat_rotate
 from aero_planner.kernels.partition import COLUMNS, ROWS, cell_of_direction, longest_lookahead, safest_fine_cell
-from aero_planner.kernels.prediction import flown_controls, time_since_plan
+from aero_planner.kernels.prediction import UNSTAMPED_PERIOD, flown_controls, time_since_plan
 
 wp.set_module_options({"enable_backward": False})
 
@@ -81,7 +81,7 @@ def place_anchors(composition: Composition) -> wp.Kernel:
             commanded, in_effect = controls_in_effect(b, since, previous, params[b])
             start.command[b] = commanded
             start.control[b] = in_effect
-            start.period[b] = wp.where(since > 0.0, since, params[b].replan_period)
+            start.period[b] = wp.where(since > 0.0, since, UNSTAMPED_PERIOD)
             v_goal = problem.goal_velocity[b]
             if wp.isnan(v_goal[0]):
                 v_goal = wp.vec3(0.0, 0.0, 0.0)

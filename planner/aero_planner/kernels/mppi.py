@@ -33,6 +33,11 @@ READ_AHEAD = wp.constant(7)
 COSTS_READ = wp.constant(9)
 """Costs of a sample that are read together, for the same reason."""
 
+BISECTIONS = wp.constant(12)
+"""Of the logarithm of the temperature, which give it to 0.3 %."""
+LOWEST_TEMPERATURE = wp.constant(-11.5)
+"""Logarithm of the lowest temperature as a share of the largest one, 1e-5."""
+
 Values: Any = wp.types.vector(length=READ_AHEAD, dtype=wp.float32)
 
 PROBES = wp.constant(10)
@@ -141,7 +146,7 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
         noisy = Reals(1.0)
         if group == 0 and c.q_control_jump > 0.0:
             noisy[0] = 0.0
-        innovation = float(1.0)
+        innovation = wp.sqrt(1.0 - c.correlation * c.correlation)
         u_next = nominal_controls[b, m, 0]
         p_next = guides[b, m, 1]
         drawn_next = Controls()
@@ -159,7 +164,7 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
             for axis in range(4):
                 drawn_next[axis] = noise_table[t_next, axis, row]
             for j in range(WIDTH):
-                # AR(1) noise; the innovations are scaled so that its variance does not depend on the correlation.
+                # AR(1) noise from rest: of a plan's noise, little reaches the motors before the next plan.
                 e = c.correlation * wp.vec4(noise[0, j], noise[1, j], noise[2, j], noise[3, j]) + innovation * wp.vec4(
                     drawn[0, j], drawn[1, j], drawn[2, j], drawn[3, j]
                 )
@@ -182,7 +187,6 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
                 for axis in range(3):
                     x[axis, j] = p[axis]
                     x[3 + axis, j] = v[axis]
-            innovation = wp.sqrt(1.0 - c.correlation * c.correlation)
             for axis in range(4):
                 sample_controls[i, t, axis, group] = u[axis]
             for axis in range(3):
@@ -201,6 +205,50 @@ def sample_rollouts(tuning: KernelTuning, composition: Composition) -> wp.Kernel
 
 
 @functools.cache
+def find_temperature(lanes: int) -> wp.Function:
+    """Return the function that finds the temperature of an instance, whose samples `lanes` threads share."""
+    LANES = wp.constant(lanes)
+    total = sum_over(lanes)
+
+    @wp.func
+    def effective_samples(
+        stage1_cost: wp.array2d(dtype=float), i: int, samples: int, lowest: float, lane: int, temperature: float
+    ) -> float:
+        """Return (sum w)^2 / sum w^2 of the weights at a temperature."""
+        w_sum = float(0.0)
+        w_squares = float(0.0)
+        for k in range(lane, samples, LANES):
+            w = wp.exp((lowest - stage1_cost[i, k]) / temperature)
+            w_sum += w
+            w_squares += w * w
+        w_sum = total(w_sum)
+        return w_sum * w_sum / total(w_squares)
+
+    @wp.func
+    def find_temperature(
+        stage1_cost: wp.array2d(dtype=float), i: int, samples: int, lowest: float, lane: int, params: Params
+    ) -> float:
+        """Return the temperature at which the weights have K_eff effective samples, at most `params.temperature`.
+
+        The number grows with the temperature: the logarithm of the latter is found by bisection.
+        """
+        highest = params.temperature
+        asked = params.effective_samples
+        if asked == 0.0 or effective_samples(stage1_cost, i, samples, lowest, lane, highest) <= asked:
+            return highest
+        exponent = LOWEST_TEMPERATURE
+        step = -0.5 * LOWEST_TEMPERATURE
+        for _ in range(BISECTIONS):
+            tried = highest * wp.exp(exponent + step)
+            if effective_samples(stage1_cost, i, samples, lowest, lane, tried) <= asked:
+                exponent += step
+            step *= 0.5
+        return highest * wp.exp(exponent)
+
+    return find_temperature
+
+
+@functools.cache
 def update_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that completes S1 and updates the nominal controls, with a thread block per instance."""
     lanes = min(tuning.threads_per_update, 32)
@@ -212,6 +260,7 @@ def update_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel
     Sums: Any = wp.types.matrix(shape=(READ_AHEAD, tuning.samples_per_read), dtype=wp.float32)
     read = read_values(tuning.samples_per_read)
     Views, terminal_cost = composition.Views, composition.terminal1
+    temperature_of = find_temperature(lanes)
 
     @wp.kernel(module="unique", enable_backward=False)
     def update_controls(
@@ -231,6 +280,7 @@ def update_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel
         # in and out
         stage1_cost: wp.array2d(dtype=float),
         # out
+        temperature: wp.array2d(dtype=float),
         sample_weights: wp.array2d(dtype=float),
         weight_vectors: wp.array2d(dtype=Reals),
         controls: wp.array3d(dtype=float),
@@ -283,12 +333,16 @@ def update_controls(tuning: KernelTuning, composition: Composition) -> wp.Kernel
                 stage1_cost[i, k] = S
                 lowest = wp.min(lowest, S)
         lowest = block_minimum(lowest)
+        synchronize_block()
+        lane = thread % LANES
+        softness = temperature_of(stage1_cost, i, samples, lowest, lane, params[b])
+        if thread == 0:
+            temperature[b, m] = softness
         if share == 0:
             for k in range(thread // SHARES, samples, THREADS // SHARES):
-                sample_weights[i, k] = wp.exp((lowest - stage1_cost[i, k]) / params[b].temperature)
+                sample_weights[i, k] = wp.exp((lowest - stage1_cost[i, k]) / softness)
         synchronize_block()
         # Each warp sums READ_AHEAD values at a time; its lanes read neighbouring samples.
-        lane = thread % LANES
         total = float(0.0)
         for group in range(lane, weight_vectors.shape[1], LANES):
             w_group = weight_vectors[i, group]

@@ -16,6 +16,8 @@ wp.set_module_options({"enable_backward": False})
 
 _STEP = wp.constant(0.01)
 """Longest step of the prediction [s]."""
+UNSTAMPED_PERIOD = wp.constant(0.02)
+"""Time between two plans where states carry no time [s]."""
 
 
 @wp.func
@@ -24,7 +26,7 @@ def time_since_plan(b: int, time: wp.float64, previous: PreviousPlan, params: Pa
     # The difference is taken in float64, since stamps may count from 1970.
     elapsed = float(time - previous.time[b])
     if wp.isnan(time) and not wp.isnan(previous.time[b]):
-        elapsed = params.replan_period
+        elapsed = UNSTAMPED_PERIOD
     return elapsed
 
 

@@ -22,7 +22,7 @@ from aero_planner.device.warp_ops import minimum_over, read_lane, read_lane_inte
 from aero_planner.kernels.clearance import above_ground, cell_size, clearance_at, query_limit
 from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.mppi import PROBES, probe_position
-from aero_planner.kernels.prediction import time_since_plan
+from aero_planner.kernels.prediction import UNSTAMPED_PERIOD, time_since_plan
 from aero_planner.plan import PlanStatus
 
 wp.set_module_options({"enable_backward": False})
@@ -387,6 +387,6 @@ def commit_plan(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             before = previous.time[b]
             if wp.isnan(before):
                 before = wp.float64(0.0)
-            previous.time[b] = before + wp.float64(c.replan_period)
+            previous.time[b] = before + wp.float64(UNSTAMPED_PERIOD)
 
     return tuning.set_options(commit_plan)

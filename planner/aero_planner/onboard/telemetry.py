@@ -34,8 +34,8 @@ POINT_STEP = 0.01
 
 PLAN_ARRAYS = (
     "fine_range", "safe_range", "safe_direction", "filtered_points", "initial_endpoints", "anchors",
-    "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "stage2_cost",
-    "goal_cost", "collision_cost", "clearance",
+    "guide_coefficients", "guides", "controls", "positions", "velocities", "quaternions", "stage1_cost", "temperature",
+    "stage2_cost", "goal_cost", "collision_cost", "clearance",
 )  # fmt: skip
 """Fields of `Plan` that are sent unchanged."""
 

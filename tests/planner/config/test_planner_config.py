@@ -51,8 +51,8 @@ def test_groups_are_contiguous():
 def test_physical_parameters_have_a_unit():
     without = {info.name for info in NUMBERS if not info.unit and isinstance(info.default, float)}
     assert without == {
-        "spread", "rise", "brake_reach", "temperature", "correlation", "q_attitude", "q_control", "q_control_rate",
-        "penalty", "soft_weight",
+        "spread", "brake_reach", "temperature", "effective_samples", "correlation", "q_attitude", "q_control",
+        "q_control_rate", "penalty", "soft_weight",
     }  # fmt: skip
 
 
@@ -204,11 +204,13 @@ def test_paper_preset_is_the_paper():
         "vehicle.rate_z_max": 2.0, "partition.range_max": 10.0, "partition.range_min": 0.0, "partition.fine_cells": 6,
         "anchors.columns": 5, "anchors.rows": 3, "anchors.spacing": 18.0, "anchors.lookahead": 5.0,
         "sampling.samples": 128, "sampling.steps": 25, "sampling.dt": 0.05, "sampling.temperature": 0.1,
+        "sampling.effective_samples": 0.0,
         "sampling.variance_thrust": 1.0, "sampling.variance_rate_xy": 1.0, "sampling.variance_rate_z": 0.5,
         "sampling.correlation": 0.0, "costs.q_position": 3.0, "costs.q_velocity": 0.25,
         "costs.q_attitude": 1.0, "costs.q_vnorm": 0.15, "costs.q_track": 15.0, "costs.q_control": 0.5,
         "costs.q_control_rate": 0.5, "costs.penalty": 1e6, "costs.decay": 5.0, "costs.distance_min": 0.4,
         "costs.distance_max": 1.0, "costs.shape": "exponential", "costs.q_speed": 0.0, "costs.q_blocked": 0.0,
+        "costs.q_control_jump": 0.0, "costs.q_thrust_jump": 0.0,
     }  # fmt: skip
     assert {path: paper.get(path) for path in numbers} == numbers
     assert (COARSE_ROWS, COARSE_COLUMNS) == (10, 20) and paper.stages.names == ()

@@ -4,7 +4,7 @@ import pytest
 from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from aero_planner.kernels.guides import BRAKING_FAN
 from tests.planner import reference
-from tests.planner.cases import config_of, random_case
+from tests.planner.cases import PERIOD, config_of, random_case
 
 SEEDS = range(4)
 
@@ -147,13 +147,13 @@ def _at(case, time: float | None) -> VehicleState:
     return VehicleState(case.position, case.velocity, case.quaternion, case.acceleration, time=time)
 
 
-def test_states_without_time_are_one_replan_period_apart(device: str):
-    config, case = config_of(sampling__replan_period=0.08), random_case(0)
+def test_states_without_time_are_a_period_apart(device: str):
+    config, case = config_of(), random_case(0)
     planner = Planner(config, device=device)
     first = case.plan(planner)
     case.plan(planner)
     hover = np.array([config.vehicle.mass * config.vehicle.gravity, 0, 0, 0])
-    expected = shifted(first.command.astype(np.float64), 0.08 / config.sampling.dt, hover)
+    expected = shifted(first.command.astype(np.float64), PERIOD / config.sampling.dt, hover)
     np.testing.assert_allclose(nominal(planner)[15], expected, atol=2e-5)
 
 

@@ -13,6 +13,11 @@ def sampled_controls(planner: Planner, plan: Plan) -> np.ndarray:
     return planner.workspace.sample_controls.numpy()[..., : plan.stage1_cost.shape[1]].swapaxes(2, 3)
 
 
+def command_in_force(planner: Planner) -> np.ndarray:
+    """Return the command from which the last plan started, shape [4]."""
+    return planner.workspace.command.numpy()[0].astype(np.float64)
+
+
 def on_an_edge(x: reference.Rollout, case: Case, plan: Plan, config: PlannerConfig) -> bool:
     """Return True if float32 may put a position of this rollout on the other side of a step of the penalties.
 
@@ -35,7 +40,7 @@ def test_S1_of_samples(device: str, preset: str, speed: float, seed: int):
     planner = Planner(config, device=device)
     case.plan(planner)
     plan = case.plan(planner)  # the second, so that the previous candidate flies the previous plan
-    controls, checked = sampled_controls(planner, plan), 0
+    controls, command, checked = sampled_controls(planner, plan), command_in_force(planner), 0
     for m, kind in enumerate(planner.config.kinds):
         if plan.kinds[m] != kind:
             continue  # replaced by braking, guide included
@@ -45,7 +50,7 @@ def test_S1_of_samples(device: str, preset: str, speed: float, seed: int):
             x = reference.roll_out(case.position, case.quaternion, case.velocity, u, config)
             if on_an_edge(x, case, plan, config):
                 continue
-            expected = reference.S1(x, u, guide, case.full_goal(), kept_points(plan), config)
+            expected = reference.S1(x, u, guide, case.full_goal(), kept_points(plan), command, config)
             np.testing.assert_allclose(plan.stage1_cost[m, k], expected, **COST)
             checked += 1
     assert checked > 20
@@ -65,7 +70,8 @@ def test_S2_and_its_terms(device: str, preset: str, speed: float, seed: int):
             continue
         d = reference.clearance(x.p, kept_points(plan), config.costs.distance_max)
         np.testing.assert_allclose(plan.collision_cost[m], reference.J_col(d, config).sum(), **COST)
-        expected = reference.S2(x, *case.full_goal(), kept_points(plan), config)
+        u = plan.controls[m].astype(np.float64)
+        expected = reference.S2(x, u, case.full_goal(), kept_points(plan), command_in_force(planner), config)
         np.testing.assert_allclose(plan.stage2_cost[m], expected, **COST)
         checked += 1
     assert checked > 4
@@ -76,7 +82,7 @@ def test_S2_and_its_terms(device: str, preset: str, speed: float, seed: int):
 ONLY_CONTROLS: dict[str, Any] = {
     "costs__q_position": 0.0, "costs__q_velocity": 0.0, "costs__q_attitude": 0.0, "costs__q_vnorm": 0.0,
     "costs__q_track": 0.0, "costs__q_speed": 0.0, "costs__q_blocked": 0.0, "costs__penalty": 0.0,
-    "costs__soft_weight": 0.0,
+    "costs__soft_weight": 0.0, "costs__q_thrust_jump": 0.0, "stages__active": "",
 }  # fmt: skip
 
 
@@ -91,10 +97,12 @@ def test_J_ctrl_leaves_the_last_control_free(device: str, q_control: float, q_ra
     np.testing.assert_allclose(plan.stage1_cost, expected, rtol=1e-5)
 
 
-def test_the_jump_of_the_rates_counts_in_both_stages(device: str):
+@pytest.mark.parametrize(("q_control_jump", "q_thrust_jump"), [(2.0, 0.0), (0.0, 3.0), (2.0, 3.0)])
+def test_the_jump_of_the_controls_counts_in_both_stages(device: str, q_control_jump: float, q_thrust_jump: float):
     """It counts for each sample, and in the selection for each instance."""
-    config = config_of(costs__q_control=0.0, costs__q_control_rate=0.5, costs__q_control_jump=2.0, **ONLY_CONTROLS)
-    config = config.replace({"way_out.q_escape": 0.0})
+    config = config_of(costs__q_control=0.0, costs__q_control_rate=0.5, **ONLY_CONTROLS)
+    jumps_cost = {"costs.q_control_jump": q_control_jump, "costs.q_thrust_jump": q_thrust_jump}
+    config = config.replace(jumps_cost)
     planner = Planner(config, device=device)
     flown = random_case(0).plan(planner).command[0].astype(np.float64)
     plan = random_case(1).plan(planner)  # 0.02 s later, within the first step
@@ -120,9 +128,11 @@ def test_where_jumps_cost_the_first_sample_has_no_noise(device: str, q_jump: flo
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, seed: int):
-    config, case = config_of(sampling__temperature=temperature, sampling__samples=64), random_case(seed)
+    fixed = {"sampling__temperature": temperature, "sampling__effective_samples": 0.0}
+    config, case = config_of(sampling__samples=64, **fixed), random_case(seed)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
+    np.testing.assert_array_equal(plan.temperature, np.float32(temperature))
     weights = reference.softmin(plan.stage1_cost.astype(np.float64), temperature)
     expected = np.einsum("mk,mnkc->mnc", weights, sampled_controls(planner, plan))
     kept = np.array(plan.kinds) == np.array(config.kinds)
@@ -131,6 +141,21 @@ def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, s
     # min S - S is exact where it matters; 64 weights of up to 1, controls of up to 16 N.
     np.testing.assert_allclose(plan.controls[kept], expected[kept], atol=5e-5)
     assert kept.sum() >= 14 and weights.max() < 1.0 + 1e-12
+
+
+@pytest.mark.parametrize("asked", [1.0, 4.0, 20.0, 64.0])
+@pytest.mark.parametrize("scale", [1.0, 1000.0])
+def test_the_temperature_keeps_the_effective_sample_size(device: str, asked: float, scale: float):
+    """Whatever the scale of the costs, unless it would exceed the largest temperature."""
+    changes = {"sampling__effective_samples": asked, "sampling__samples": 64, "sampling__temperature": 30.0}
+    config = config_of(**changes, costs__q_position=0.01 * scale, costs__q_track=0.01 * scale)
+    plan = random_case(1, count=0).plan(Planner(config, device=device))
+    weights = reference.softmin(plan.stage1_cost.astype(np.float64), plan.temperature[:, None].astype(np.float64))
+    size = 1.0 / (weights**2).sum(axis=1)
+    assert (size < 1.001 * asked).all() and (plan.temperature < 30.001).all()
+    below = plan.temperature < 29.9
+    np.testing.assert_allclose(size[below], asked, rtol=0.03)  # the temperature is found to 0.3 %
+    assert below.any() or asked == 64.0
 
 
 def test_weights_spread_with_the_temperature(device: str):
@@ -175,10 +200,12 @@ def test_noise_statistics(device: str, correlation: float):
     # 15 x 512 independent rollouts: five standard errors of a mean are 0.057, of a variance 0.081.
     n = len(white)
     np.testing.assert_allclose(white.mean(axis=0), 0.0, atol=5 / np.sqrt(n))
-    np.testing.assert_allclose(white.var(axis=0), 1.0, atol=5 * np.sqrt(2 / n))
+    # e_t = rho e_{t-1} + sqrt(1 - rho^2) w_t from e = 0 before the first control.
+    spread = 1.0 - correlation ** (2 * np.arange(1, 26)[:, None])
+    np.testing.assert_allclose(white.var(axis=0), np.tile(spread, 4), atol=5 * np.sqrt(2 / n))
     for lag in (1, 2, 5):
         together = (white[:, lag:] * white[:, :-lag]).mean(axis=0)
-        np.testing.assert_allclose(together, correlation**lag, atol=5 * np.sqrt(2 / n))
+        np.testing.assert_allclose(together, np.tile(correlation**lag * spread[:-lag], 4), atol=5 * np.sqrt(2 / n))
     # Components, instances and neighbouring samples are independent.
     np.testing.assert_allclose((white[..., 0] * white[..., 1]).mean(axis=0), 0.0, atol=5 / np.sqrt(n))
     np.testing.assert_allclose((white[1:, 3] * white[:-1, 3]).mean(axis=0), 0.0, atol=5 / np.sqrt(n))

@@ -22,7 +22,7 @@ class AnchorConfig(ParameterSection, section="anchors"):
         label="Look-ahead distance", symbol="l", basic=True,
     )  # fmt: skip
     lookahead_time: float = live(
-        0.5, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
+        0.65, "s", 0.0, 5.0, "A fast drone looks farther ahead: the look-ahead distance is at least this times the "
         "speed limit; 0 as in the paper.",
         label="Look-ahead per speed limit",
     )  # fmt: skip

@@ -45,6 +45,11 @@ class CostConfig(ParameterSection, section="costs"):
         "controls approach what a guide asks for with the lags of the vehicle.",
         label="Control jump weight", group="Tracking and effort",
     )  # fmt: skip
+    q_thrust_jump: float = live(
+        20.0, "1/N^2", 0.0, 1e3, "Weight of the squared jump from the thrust that is commanded to the first one of a "
+        "plan, also in the selection; 0 as in the paper.",
+        label="Thrust jump weight", group="Tracking and effort",
+    )  # fmt: skip
     q_speed: float = live(
         200.0, "s^2/m^2", 0.0, 1e5, "Weight of the squared excess over the speed limit; 0 as in the "
         "paper.",

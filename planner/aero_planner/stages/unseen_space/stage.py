@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 
 from aero_planner.array_memory import array
 from aero_planner.config import PlannerConfig
+from aero_planner.costs import CostTerm
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Hooks, Launches, Stage
 from aero_planner.stages.unseen_space import continuation
 from aero_planner.stages.unseen_space.continuation import CONTINUED, READ_ROWS
-from aero_planner.stages.unseen_space.view import look_ahead
+from aero_planner.stages.unseen_space.view import look_ahead, tilt_cost
 
 _NAME = "unseen_space"
 
@@ -80,5 +81,6 @@ STAGE = Stage(
     reports={"continued_cells": _continued_cells},
     symbols=_symbols,
     hooks=Hooks(turn=look_ahead),
+    terms=(CostTerm("tilt", "tilt beyond the view", running=tilt_cost),),
     launches={"start": _follow, "cells": _continue},
 )

@@ -6,12 +6,16 @@ from typing import Any
 
 import warp as wp
 
+from aero_planner.costs.cost_term import Step
 from aero_planner.device.rotations import heading, wrap_angle
 
 wp.set_module_options({"enable_backward": False})
 
 _TURN_TIME = wp.constant(0.4)
 """Time constant with which the drone turns to where it flies [s]."""
+TILT_WEIGHT = wp.constant(1000.0)
+BEYOND_VIEW = wp.constant(8.0)
+"""Angle by which the horizon ahead may leave the view before the tilt costs [deg]."""
 _SHORT = wp.constant(0.5)
 """Horizontal length below which a direction of flight has no heading [m], or speed [m/s]."""
 
@@ -62,6 +66,18 @@ def edges_at(azimuth: float, edges: wp.vec2, c: Any) -> wp.vec2:
     if lowest > highest:
         return edges
     return wp.vec2(lowest, highest)
+
+
+@wp.func
+def tilt_cost(s: Step, c: Any) -> float:
+    """Return a cost of the tilt beyond which the horizon ahead leaves the view: TILT_WEIGHT (cos limit - e_z)^2.
+
+    e_z is the vertical part of the thrust axis. The limit is `BEYOND_VIEW` above the upper edge of the view, since the
+    drone remembers what it has just seen.
+    """
+    limit = wp.radians(edges_of_view(c)[1] + BEYOND_VIEW)
+    excess = wp.max(0.0, wp.cos(limit) - 1.0 + 2.0 * (s.q[1] * s.q[1] + s.q[2] * s.q[2]))
+    return TILT_WEIGHT * excess * excess
 
 
 @wp.func

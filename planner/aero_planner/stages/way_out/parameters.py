@@ -26,10 +26,6 @@ class Parameters(ParameterSection, section="way_out"):
     )  # fmt: skip
     spread: float = live(
         3.0, "", 1.0, 5.0, "Factor on the spacing of the anchors of a drone below 3 m/s, to find a way around an "
-        "obstacle.",
+        "obstacle; half as much again up and down.",
         label="Spread of anchors at low speed",
-    )  # fmt: skip
-    rise: float = live(
-        4.0, "", 1.0, 5.0, "The same factor on the spacing of the rows: the way out may lead upward.",
-        label="Rise of anchors at low speed",
     )  # fmt: skip

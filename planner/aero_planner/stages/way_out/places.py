@@ -10,7 +10,7 @@ from aero_planner.costs.cost_term import End
 from aero_planner.device.hook_records import Spread
 from aero_planner.device.params import Params
 from aero_planner.device.records import PreviousPlan, Problem
-from aero_planner.kernels.prediction import time_since_plan
+from aero_planner.kernels.prediction import UNSTAMPED_PERIOD, time_since_plan
 
 wp.set_module_options({"enable_backward": False})
 
@@ -72,7 +72,7 @@ def look_around(b: int, s: Spread, views: Any, c: Any) -> Spread:
     """
     if s.speed < _SLOW:
         s.columns *= c.spread
-        s.rows *= c.rise
+        s.rows *= 1.0 + 1.5 * (c.spread - 1.0)  # the way out may lead over the obstacle
         if c.q_escape > 0.0 and escape_depth(s.p, b, views.way_out, c.radius) > 0.0:
             s.clip = 1
     return s
@@ -104,7 +104,7 @@ def remember_place(
     goal = problem.goal[b]
     count = memory.place_count[b]
     nearest = memory.place_nearest[b]
-    idle = memory.place_idle[b] + wp.where(since > 0.0, since, c.replan_period)
+    idle = memory.place_idle[b] + wp.where(since > 0.0, since, UNSTAMPED_PERIOD)
     distance = wp.length(goal - p)
     if not (wp.length(goal - memory.place_goal[b]) < 0.1):
         memory.place_goal[b] = goal

@@ -18,7 +18,7 @@ from aero_planner.kernels.guides import BRAKING_FAN
 from aero_planner.kernels.selection import fallback
 from aero_planner.stages.stop_proof.stops import STOPS, StopProof, stop_to_keep
 from tests.planner import pillars, reference
-from tests.planner.cases import Case, config_of, kept_points, level_case, random_case, shell
+from tests.planner.cases import PERIOD, Case, config_of, kept_points, level_case, random_case, shell
 from tests.planner.pillars import GOAL, plan_from, sweeps_of
 from tests.planner.reference import Array
 
@@ -76,7 +76,7 @@ def test_the_stop_that_was_proven_is_no_braking_candidate_of_a_plan(device: str)
 def switch_steps(config: PlannerConfig) -> list[int]:
     """Return the time step at which each stop leaves its candidate, in the first plan."""
     N = config.sampling.steps
-    first = int(np.ceil(config.sampling.replan_period / config.sampling.dt))
+    first = int(np.ceil(PERIOD / config.sampling.dt))
     return [max(first, step) for step in (0, 0, 0, N // 4, N // 2, N)]
 
 

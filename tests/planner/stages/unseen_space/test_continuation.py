@@ -7,7 +7,7 @@ import pytest
 
 from aero_planner import Goal, Plan, Planner, PlannerConfig, VehicleState
 from tests.planner import reference
-from tests.planner.cases import Case, config_of, kept_points, level_case, random_case
+from tests.planner.cases import PERIOD, Case, config_of, kept_points, level_case, random_case
 
 
 @pytest.mark.parametrize("depth", [0.0, 1.0, 2.0])
@@ -78,8 +78,7 @@ def continued_ranges(case: Case, config: PlannerConfig, measured: Plan, before: 
         return np.clip(row, 0, rows - 1) * columns + column
 
     q, before = reference.unit(case.quaternion), reference.unit(before)
-    period = config.sampling.replan_period
-    share = period / (period + space.view_age)
+    share = PERIOD / (PERIOD + space.view_age)
     seen_from = reference.rotation(reference.unit((1.0 - share) * before * np.sign(before @ q) + share * q))
     offsets = np.full((3, rows * columns), np.inf)
     offsets[:, ranges.ravel() < config.farthest_range] = (
