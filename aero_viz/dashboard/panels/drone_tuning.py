@@ -36,13 +36,14 @@ class DroneTuningPanel(Panel):
         self._clicked: tuple[Mapping[str, Value], float] = {}, -_CONFIRM_TIME
         """What the first click was about, and when it was [s]."""
         infos = [replace(info, basic=True) for info in self._tuning.tunable.values()]
-        self._rows = [
+        self.rows = [
             ParameterRow(
                 gui, info, self.session.config.get(info.path), on_change=self._enter, on_reset=self._reset,
                 origin="the drone's value",
             )
             for info in infos
         ]  # fmt: skip
+        """A control for each parameter."""
         self.send = gui.add_button("Send", icon=viser.Icon.SEND, hint=_SEND_HINT, visible=False)
         """Sends what was entered."""
         self.steps = gui.add_button_group("History", _STEPS, hint=_STEPS_HINT, visible=False)
@@ -115,7 +116,7 @@ class DroneTuningPanel(Panel):
     def update_without_frame(self) -> list[Change]:
         state, draft = self._tuning.state, self._changes()
         changes: list[Change] = []
-        for row in self._rows:
+        for row in self.rows:
             value = self._value(row.info.path)
             changes += row.show(draft.get(row.info.path, value), value)
             changes += [(handle, "visible", visible) for handle, visible in row.visibility(True)]
