@@ -74,7 +74,7 @@ def preflight(
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
     checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(onboard), *_check_disk(log)]
-    checks += _check_tuning(onboard)
+    checks += check_tuning(onboard)
     checks += [*_check_telemetry_port(onboard), *_check_receive_buffer(), _check_failsafe_process(planner, onboard)]
     link, link_check = _open("autopilot port", lambda: open_link(onboard, planner.vehicle))
     lidar, lidar_check = _open("LiDAR port", lambda: open_lidar(onboard))
@@ -166,8 +166,8 @@ def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     """Check that the cloud reaches back far enough for the speed limit, see `DroneConfig.sweep_memory`."""
     lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
     with contextlib.suppress(ValueError, KeyError):  # where they are wrong, the check of the configuration says so
-        fastest = tunable_parameters(onboard.tuning.limits)["vehicle.speed_limit"].high
-        planner = planner.replace({"vehicle.speed_limit": fastest})
+        slowest = tunable_parameters(onboard.tuning.limits)["vehicle.speed_limit"].low
+        planner = planner.replace({"vehicle.speed_limit": slowest})
     needed = min(sweeps_within(planner.sweep_memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
     known = lidar.sweeps + lidar.older_sweeps
     finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
@@ -217,7 +217,8 @@ def _check_telemetry_port(onboard: OnboardConfig) -> Iterator[Check]:
         yield Check(name, f"{address} is free")
 
 
-def _check_tuning(onboard: OnboardConfig) -> Iterator[Check]:
+def check_tuning(onboard: OnboardConfig) -> Iterator[Check]:
+    """Check that the key for changes of parameters can be read, and that both settings are made or neither is."""
     settings, name = onboard.tuning, "tuning"
     if settings.key_file != "none":
         try:

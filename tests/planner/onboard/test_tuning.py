@@ -26,6 +26,7 @@ from aero_planner.onboard.telemetry_protocol import Kind, Message, encode
 from aero_planner.onboard.tuning import AGE_MAX, Request, Tuning
 from aero_planner.onboard.tuning_limits import tunable_parameters
 from tests.planner.onboard.simulated import CORRIDOR, GOAL, SMALL, Clock, Relay, Simulation, poles
+from tests.planner.onboard.test_flight_log import decoded
 from tests.planner.onboard.test_telemetry import Viewer
 
 KEY = bytes(range(32))
@@ -291,6 +292,8 @@ def test_the_node_flies_changed_parameters_and_logs_them(small_planner: Planner,
             config = ConfigFile(name, parse_entries(texts[name], name)).planner_config(PlannerConfig)
             limits[name] = config.vehicle.speed_limit
     assert limits == {"config_0.yaml": 5.0, "config_1.yaml": 2.0, "config_2.yaml": 4.0}
+    versions = [plan.config_version for _, plan in decoded(log.path)["/plan"]]
+    assert sorted(set(versions)) == [0, 1, 2] and versions == sorted(versions), "every plan names its configuration"
 
 
 # --- over sockets ---
