@@ -168,24 +168,32 @@ def connect(
     drone: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="HOST")]],
     *,
     drone_port: int = 14650,
+    key: OptionalPath = None,
     page_flags: Inline[PageFlags] = _PAGE,
 ) -> None:
     """Show the live plan of a drone that runs `aero-planner run`.
 
-    The page only watches; it cannot control the drone.
+    The page only watches, but who holds the node's key can change the parameters that tuning.limits allows.
 
     Args:
         drone: Name or address of the drone. It must run with telemetry.host: 0.0.0.0 or behind an SSH tunnel.
         drone_port: TCP port of the drone's telemetry.
+        key: File with the key, as tuning.key_file of the node.
         page_flags: The page.
     """
+    from aero_planner.onboard.mavlink_signing import load_key
     from aero_viz.dashboard import Dashboard
     from aero_viz.session.live_session import LiveSession
     from aero_viz.session.node_client import NodeClient
 
     page_flags.refuse(besides=WATCHING, advice="the page of a drone opens no files: leave it out")
+    secret = None if key is None else load_key(key, "--key")
+
+    def open_client() -> NodeClient:
+        return NodeClient(drone, drone_port, key=secret)
+
     with contextlib.ExitStack() as stack:
-        session = LiveSession(NodeClient(drone, drone_port), reconnect=lambda: NodeClient(drone, drone_port))
+        session = LiveSession(open_client(), reconnect=open_client)
         stack.callback(session.close)
         shutdown = shutdown_event()
         dashboard = Dashboard(session, **page_flags.server_options)

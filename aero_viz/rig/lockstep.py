@@ -14,6 +14,7 @@ import numpy as np
 from aero_planner import Planner
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.quaternions import rotate
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.vehicle_model import VehicleModel
@@ -40,6 +41,7 @@ class LockstepRig:
         hover_thrust: thrust setpoint at which the vehicle hovers, in [0, 1]; None is what the node assumes.
         loss_time: PX4's COM_OF_LOSS_T [s].
         plan_time: duration of a plan [s].
+        tuning_key: key of viewers who may change parameters, see `LockstepNode`.
         seed: seed of the LiDAR and of gusts.
 
     Attributes:
@@ -60,6 +62,7 @@ class LockstepRig:
         hover_thrust: float | None = None,
         loss_time: float = 0.5,
         plan_time: float = 0.02,
+        tuning_key: bytes | None = None,
         seed: int = 0,
     ) -> None:
         self.now = 0.0
@@ -89,7 +92,13 @@ class LockstepRig:
             self.sensor = SimulatedMid360(world, lidar, (HOST, lidar_port), period=PERIOD, seed=seed)
             stack.callback(self.sensor.close)
             self._process = LockstepNode(
-                planner, onboard, clock=lambda: self.now, advance=self.run, goal=world.goal, plan_time=plan_time
+                planner,
+                onboard,
+                clock=lambda: self.now,
+                advance=self.run,
+                goal=world.goal,
+                plan_time=plan_time,
+                tuning_key=tuning_key,
             )
             stack.callback(self._process.close)
             self._process.start()
@@ -106,6 +115,12 @@ class LockstepRig:
         """The node."""
         assert self._process.node is not None
         return self._process.node
+
+    @property
+    def telemetry(self) -> Telemetry:
+        """Server of the viewers, if the rig was given a key."""
+        assert self._process.telemetry is not None
+        return self._process.telemetry
 
     @property
     def node_runs(self) -> bool:

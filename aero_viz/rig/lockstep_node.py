@@ -10,13 +10,15 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from aero_planner import Planner
+from aero_planner import Planner, PlannerConfig
 from aero_planner.onboard.connections import open_lidar, open_link
 from aero_planner.onboard.failsafe_process import FailsafeGuard
 from aero_planner.onboard.heartbeat_memory import HeartbeatMemory
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
+from aero_planner.onboard.telemetry import Telemetry
+from aero_planner.onboard.tuning import Tuning
 from aero_planner.onboard.watchdog import Heartbeat
 from aero_planner.plan import Plan
 
@@ -46,9 +48,13 @@ class _SlowPlanner:
     """A planner whose plans take simulated time."""
 
     def __init__(self, planner: Planner, advance: Callable[[float], None], plan_time: float) -> None:
-        self.config, self.device = planner.config, planner.device
+        self.device = planner.device
         self.reserve_sweeps, self.reset, self.configure = planner.reserve_sweeps, planner.reset, planner.configure
         self._planner, self._advance, self._plan_time = planner, advance, plan_time
+
+    @property
+    def config(self) -> PlannerConfig:
+        return self._planner.config
 
     def plan(self, *arguments: Any, **options: Any) -> Plan:
         plan = self._planner.plan(*arguments, **options)
@@ -77,8 +83,10 @@ class LockstepNode:
         advance: lets simulated time pass [s] while the node plans. It calls `step` of this node again.
         goal: see `Node`.
         plan_time: duration of a plan [s].
+        tuning_key: key of viewers who may change parameters, see `Tuning`; None serves no viewers.
 
     Attributes:
+        telemetry: server of the viewers; None without a key, and before `start`.
         node: the node; None before `start`.
         runs: False while it is paused.
         lives: False before it is started, and after it was killed.
@@ -93,8 +101,11 @@ class LockstepNode:
         advance: Callable[[float], None],
         goal: ArrayLike | None = None,
         plan_time: float = 0.02,
+        tuning_key: bytes | None = None,
     ) -> None:
         self.node: Node | None = None
+        self.telemetry: Telemetry | None = None
+        self._tuning_key = tuning_key
         self.runs, self.lives = True, False
         self._planner, self._onboard, self._goal = planner, onboard, goal
         self._config = planner.config
@@ -124,6 +135,11 @@ class LockstepNode:
             memory, reader = HeartbeatMemory(file), HeartbeatMemory(file)
             os.close(file)
             self._guards.append(FailsafeGuard(reader, self._onboard, vehicle))
+            tuning = None
+            if self._tuning_key is not None:
+                tuning = Tuning(self._config, self._onboard, self._tuning_key, clock=self._clock)
+                self.telemetry = Telemetry(self._config, self._onboard, tuning=tuning, clock=self._clock)
+                stack.callback(self.telemetry.close)
             self.node = Node(
                 _SlowPlanner(self._planner, self._advance, self._plan_time),  # type: ignore[arg-type]
                 link,
@@ -131,7 +147,9 @@ class LockstepNode:
                 self._onboard,
                 goal=self._goal,
                 clock=self._clock,
+                observers=[observer for observer in (tuning, self.telemetry) if observer is not None],
                 failsafe=_MemoryFailsafe(memory, link),
+                tuning=tuning,
             )
             self._sockets = stack.pop_all()
         self.lives = True

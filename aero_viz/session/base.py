@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from aero_planner.config import DroneConfig
 from aero_planner.mailbox import Mailbox
+from aero_viz.session.drone_tuning import DroneTuning
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.publisher import Publisher
 from aero_viz.session.source import Source
@@ -125,6 +126,11 @@ class BaseSession(ABC):
     @abstractmethod
     def controls(self) -> SessionControls | None:
         """Commands that change the session; None for a session that can only be watched."""
+
+    @property
+    def tuning(self) -> DroneTuning | None:
+        """Changes of the parameters of a drone in flight; None for any other session."""
+        return None
 
     @property
     @abstractmethod

@@ -15,6 +15,7 @@ from typing import Any
 from aero_planner import PlannerConfig
 from aero_viz.errors import UserError
 from aero_viz.session.base import BaseSession, completed
+from aero_viz.session.drone_tuning import DroneTuning
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.node_client import NodeClient
 
@@ -31,7 +32,8 @@ _RETRY_PERIOD = 1.0
 
 
 class LiveSession(BaseSession):
-    """Follows a drone in flight. The picture can be paused and moved back in time, but nothing is sent to the drone.
+    """Follows a drone in flight. The picture can be paused and moved back in time; all that reaches the drone are the
+    changes that `tuning` asks for.
 
     Args:
         client: the connection; closed with the session. If it ends, the session reconnects once per second.
@@ -66,6 +68,10 @@ class LiveSession(BaseSession):
     def controls(self) -> None:
         """None: a drone in flight takes no commands from here."""
         return None
+
+    @property
+    def tuning(self) -> DroneTuning:
+        return self._client.tuning
 
     @property
     def waiting_message(self) -> str:

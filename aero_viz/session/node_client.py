@@ -1,4 +1,4 @@
-"""Client of `aero-planner run`: turns its telemetry into frames. It only receives; nothing is sent to the drone."""
+"""Client of `aero-planner run`: turns its telemetry into frames. Nothing is sent but what `DroneTuning` asks for."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
 from aero_planner.onboard.telemetry_protocol import Kind, Message, MessageReader
 from aero_viz.errors import UserError
+from aero_viz.session.drone_tuning import DroneTuning
 from aero_viz.session.frame import Frame, Notice
 from aero_viz.session.source import Observation, SourceInfo
 
@@ -26,7 +27,7 @@ _RATE_WINDOW = 2.0
 """Time over which the rate of plans is measured [s]."""
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPALIVE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}
 """Silence before the first probe [s] (its names on Linux and macOS), time between probes [s], failures allowed."""
-_NOTICE = "Live: this is the drone's own plan. The page only shows it and controls nothing."
+_NOTICE = "Live: this is the drone's own plan. The page controls nothing but what the node lets the Tune tab change."
 
 
 class NodeClient:
@@ -35,19 +36,22 @@ class NodeClient:
     Args:
         host: name or address of the drone.
         port: TCP port; `telemetry.port` in the node's settings.
+        key: key of those who may change parameters; None only watches.
         timeout: longest wait for the connection and for the first message [s].
 
     Raises:
         UserError: the port is out of range, nothing answers there, or what answers is not a node of this release.
     """
 
-    def __init__(self, host: str, port: int = 14650, *, timeout: float = 5.0) -> None:
+    def __init__(self, host: str, port: int = 14650, *, key: bytes | None = None, timeout: float = 5.0) -> None:
         self.name = f"{host}:{port}"
         """Address of the node."""
         self.config: PlannerConfig
-        """Configuration of the drone's planner."""
+        """Configuration of the drone's planner, as far as it was received."""
         self.onboard: OnboardConfig
         """Settings of the node."""
+        self.tuning: DroneTuning
+        """Changes of the planner's parameters."""
         self._reader = MessageReader()
         self._ready: deque[Message] = deque()
         if not 0 < port < 1 << 16:
@@ -75,6 +79,7 @@ class NodeClient:
                 self.onboard = OnboardConfig().replace(
                     {f"{section}.{name}": value for section, values in settings for name, value in values.items()}
                 )
+                self.tuning = DroneTuning(hello.values, self.onboard, key, self._socket.sendall)
             except (KeyError, AttributeError, ValueError) as error:
                 raise UserError(
                     f"The node at {self.name} has other settings than this program knows ({error}); install the same "
@@ -99,6 +104,8 @@ class NodeClient:
         while (message := self._next()) is not None:
             if message.kind == Kind.CHANGE:
                 yield _notice(message)
+            elif message.kind == Kind.STATUS:
+                yield from self._take_status(message)
             elif message.kind == Kind.PLAN:
                 try:
                     frame = self._frames.make(message)
@@ -111,6 +118,17 @@ class NodeClient:
         with contextlib.suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
         self._socket.close()
+
+    def _take_status(self, message: Message) -> list[Notice]:
+        try:
+            notices = self.tuning.receive(message)
+            state = self.tuning.state
+            if self._frames.version != state.version:
+                self.config = self.config.replace(state.values)
+                self._frames.config, self._frames.version = self.config, state.version
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise UserError(f"The node at {self.name} sent malformed parameters: {error!r}.") from error
+        return notices
 
     def _next(self) -> Message | None:
         """Return the next message, None at the end of the connection."""
@@ -152,7 +170,8 @@ class _FrameMaker:
     """Turns messages into frames."""
 
     def __init__(self, name: str, config: PlannerConfig, period: float) -> None:
-        self._name, self._config, self._period = name, config, period
+        self._name, self._period = name, period
+        self.config, self.version = config, 0
         self._source: SourceInfo | None = None
         self._start_time = 0.0
         self._trail = np.empty((1024, 3), dtype=np.float32)
@@ -195,8 +214,8 @@ class _FrameMaker:
             time=observation.time,
             observation=observation,
             plan=plan,
-            config=self._config,
-            config_version=0,
+            config=self.config,
+            config_version=self.version,
             outcome=None,
             explanation=_explanation(State[values["safety"]], values["missing"]),
             timings_ms={"observe": 0.0, "plan": float(values["plan_ms"]), "advance": 0.0},

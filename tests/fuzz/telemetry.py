@@ -21,13 +21,14 @@ _HEADER = struct.Struct("<4sHHIII")
 
 @cache
 def _messages() -> tuple[bytes, ...]:
-    """Return the greeting, a transition and a plan of a real planner."""
+    """Return the greeting, a transition, a plan of a real planner, and a status of its parameters."""
     from aero_planner import Goal, Planner, PlannerConfig, Sweeps, VehicleState
     from aero_planner.onboard.failsafe_table import State
     from aero_planner.onboard.interfaces import PlanRecord
     from aero_planner.onboard.settings import OnboardConfig
     from aero_planner.onboard.telemetry import encode_plan
     from aero_planner.onboard.telemetry_protocol import Kind, encode
+    from aero_planner.onboard.tuning import Tuning
 
     config = PlannerConfig().replace({"sampling.samples": 16})
     state, goal = VehicleState(np.array([0.0, 0.0, 2.0]), np.zeros(3), np.array([1.0, 0, 0, 0])), np.array([9.0, 0, 2])
@@ -38,7 +39,8 @@ def _messages() -> tuple[bytes, ...]:
         data = encode_plan(record, points_max=200)
     hello = encode(Kind.HELLO, {"planner": config.to_dict(), "onboard": OnboardConfig().to_dict()})
     change = encode(Kind.CHANGE, {"time": 1.0, "source": "READY", "target": "FLYING", "cause": "engaged"})
-    return hello, change, data
+    tuning = Tuning(config, OnboardConfig().replace({"tuning.limits": "vehicle.speed_limit 1..7"}), b"")
+    return hello, change, data, encode(Kind.STATUS, {**tuning.status(None), "denied": ""})
 
 
 def generate(random: np.random.Generator) -> bytes:

@@ -16,6 +16,7 @@ from aero_viz.dashboard.panels.compare import ComparePanel
 from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
 from aero_viz.dashboard.panels.curves import CurvePanel
 from aero_viz.dashboard.panels.disturbances import DisturbancePanel
+from aero_viz.dashboard.panels.drone_tuning import DroneTuningPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.health import HealthPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
@@ -142,7 +143,10 @@ def _layers(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
 
 
 def _tune(desk: Desk, tab: viser.GuiTabHandle) -> list[Panel]:
-    page, controls = desk.page, desk.controls
+    page, controls = desk.page, desk.page.session.controls
+    if controls is None:
+        own: list[Panel] = [] if page.session.tuning is None else [DroneTuningPanel(page)]
+        return [*own, ParameterTablePanel(page)]
     baseline = Baseline.from_config(page.session.config)
     panels: list[Panel] = [HealthPanel(page, controls), ComparePanel(page, controls, desk.offer.folders)]
     panels += [SeedsPanel(page, controls, sources) for sources in desk.sources]
@@ -175,15 +179,9 @@ PANELS: Registry[Tab] = Registry(
         # The frames of a drone hold too little to explain them.
         "why": Tab("Why", viser.Icon.QUESTION_MARK, _why, _is_controlled),
         "layers": Tab("Layers", viser.Icon.STACK_2, _layers),
-        "tune": Tab("Tune", viser.Icon.ADJUSTMENTS, _tune, _is_controlled),
+        "tune": Tab("Tune", viser.Icon.ADJUSTMENTS, _tune),
         "study": Tab(
             "Study", viser.Icon.CHART_DOTS, _study, lambda desk: _is_controlled(desk) and desk.offer.study is not None
-        ),
-        "parameters": Tab(
-            "Parameters",
-            viser.Icon.ADJUSTMENTS,
-            lambda desk, _: [ParameterTablePanel(desk.page)],
-            lambda desk: not _is_controlled(desk),
         ),
     },
     _accept,

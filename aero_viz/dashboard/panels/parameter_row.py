@@ -28,6 +28,7 @@ class ParameterRow:
         value: value to show at first.
         on_change: called with the row and the client after a user has changed the value.
         on_reset: called with the row and the client when the value of the preset is asked for.
+        origin: whose value that is.
     """
 
     def __init__(
@@ -38,11 +39,12 @@ class ParameterRow:
         *,
         on_change: Callable[[ParameterRow, viser.ClientHandle], None] | None,
         on_reset: Callable[[ParameterRow, viser.ClientHandle | None], None],
+        origin: str = "the preset",
     ) -> None:
         self.info = info
         self._mark = gui.add_html("", visible=False)
         self.control: Control = add_control(gui, info, value)
-        self._reset = gui.add_button_group("", ("reset",), hint=f"Return {info.path} to the preset.", visible=False)
+        self._reset = gui.add_button_group("", ("reset",), hint=f"Return {info.path} to {origin}.", visible=False)
         self._words = _plain(f"{info.path} {info.title} {info.group} {info.help}")
         self._refusal = ""
         self._is_marked = self._differs = False

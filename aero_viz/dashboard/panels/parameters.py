@@ -228,6 +228,9 @@ class ParameterTablePanel(Panel):
         self._table = gui.add_html("")
 
     def update(self, frame: Frame) -> list[Change]:
+        return self.update_without_frame()
+
+    def update_without_frame(self) -> list[Change]:
         config = self.session.config
         if config is self._shown:
             return []

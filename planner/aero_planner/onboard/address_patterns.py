@@ -1,4 +1,4 @@
-"""Patterns of the addresses, ports and system ids in the node's settings."""
+"""Patterns of the addresses, ports, system ids and key files in the node's settings."""
 
 _BYTE = r"(?:[0-9]|[1-9][0-9]|1[0-9]{2}|2[0-4][0-9]|25[0-5])"
 _IPV4 = rf"(?:{_BYTE}\.){{3}}{_BYTE}"
@@ -20,3 +20,6 @@ GOAL_SENDER = rf"(?:vehicle|{_SYSTEM}@{ADDRESS})"
 """A sender of goals."""
 TOPIC = r"(/[A-Za-z_]\w*)+"
 """Name of a topic of ROS 2, such as /livox/lidar."""
+
+KEY_FILE = r"[A-Za-z0-9_./~+-]+"
+"""The path of a file with a key, or none."""

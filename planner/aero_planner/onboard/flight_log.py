@@ -21,7 +21,14 @@ from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard import ros_messages
 from aero_planner.onboard.flight_config import format_onboard
-from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord, PointPacket, VehicleSample
+from aero_planner.onboard.interfaces import (
+    ConfigChange,
+    Observation,
+    Observer,
+    PlanRecord,
+    PointPacket,
+    VehicleSample,
+)
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.quaternions import quaternion_from_angles, rotate
@@ -47,7 +54,8 @@ class FlightLog(Observer):
         /plan/guides, /plan/rollouts: Guides and rollouts, at most ten times per second.
         /safety: Every transition of the safety state.
 
-    Attachments hold both configurations. Times are wall time, derived from the clock when the file is opened.
+    Attachments hold both configurations, and every later one of the planner. Times are wall time, derived from the
+    clock when the file is opened.
 
     Args:
         path: File to write. If it exists, a number is appended to the name, so that no flight replaces another.
@@ -96,8 +104,8 @@ class FlightLog(Observer):
         self._writer: Any = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
         self._writer.start(profile="ros2", library="aero-planner")
         stamp = self._stamp(clock())
-        for name, text in (("config_0.yaml", format_config(planner)), ("onboard.yaml", format_onboard(onboard))):
-            self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
+        self._attach(stamp, "onboard.yaml", format_onboard(onboard))
+        self._attach_config(stamp, 0, planner)
         self._flush()
         self._mailbox: Mailbox[Observation] = Mailbox(
             self._write, capacity=_WAITING, name="aero-planner-log", low_priority=True, at_end=self._finish
@@ -133,6 +141,8 @@ class FlightLog(Observer):
             elif isinstance(item, StateChange):
                 stamp = self._stamp(item.time)
                 self._add(stamp, ros_messages.safety_change(item, stamp))
+            elif isinstance(item, ConfigChange):
+                self._attach_config(self._stamp(item.time), item.version, item.config)
             elif isinstance(item, VehicleSample):
                 self._write_pose(item)
             else:
@@ -159,7 +169,8 @@ class FlightLog(Observer):
         if lines:
             self._lines_time = record.time
         stamp = self._stamp(record.time)
-        self._add(stamp, *ros_messages.plan_messages(record.plan, stamp, plan_ms=record.plan_ms, lines=lines))
+        options = {"plan_ms": record.plan_ms, "lines": lines, "config_version": self._config_version}
+        self._add(stamp, *ros_messages.plan_messages(record.plan, stamp, **options))
 
     def _write_pose(self, sample: VehicleSample) -> None:
         if sample.time - self._pose_time < _POSE_SPACING:
@@ -185,6 +196,14 @@ class FlightLog(Observer):
         stamp = self._stamp(first)
         offsets = np.rint(1e9 * (times - first)).clip(0, 2**32 - 1).astype(np.uint32)
         self._add(stamp, ros_messages.sweep(body, stamp, times=offsets))
+
+    def _attach_config(self, stamp: int, version: int, config: PlannerConfig) -> None:
+        """Attach the configuration of the plans from now on."""
+        self._config_version = version
+        self._attach(stamp, f"config_{version}.yaml", format_config(config))
+
+    def _attach(self, stamp: int, name: str, text: str) -> None:
+        self._writer.add_attachment(stamp, stamp, name, "application/yaml", text.encode())
 
     def _add(self, stamp: int, *messages: ros_messages.Encoded) -> None:
         for topic, kind, data in messages:

@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.config import PlannerConfig
 from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Plan, VehicleState
@@ -191,14 +192,28 @@ class PlanRecord(PlanResult):
     """Number of sweeps in the cloud, with the thinned ones."""
 
 
-Observation: TypeAlias = PlanRecord | StateChange | VehicleSample | PointPacket
+@dataclass(frozen=True, eq=False)
+class ConfigChange:
+    """A change of the planner's configuration while the node runs."""
+
+    time: float
+    """Host time [s]."""
+    version: int
+    """Counts the changes."""
+    config: PlannerConfig
+    """Configuration from the next plan on."""
+
+
+Observation: TypeAlias = PlanRecord | StateChange | ConfigChange | VehicleSample | PointPacket
 
 
 class Observer:
     """Base class of observers, such as the flight log. Every method must return at once and must not raise."""
 
     def observe(self, item: Observation) -> None:
-        """Receive an item. The planning thread passes plans; the control thread passes everything else."""
+        """Receive an item: plans and changes of the configuration from the planning thread, the rest from the control
+        thread.
+        """
 
     def close(self) -> None:
         """Release resources; the node has ended."""

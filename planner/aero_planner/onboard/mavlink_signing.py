@@ -30,8 +30,12 @@ def signing_time() -> int:
     return max(0, int((time.time() - _EPOCH) * _TICKS))
 
 
-def load_key(path: str | Path) -> bytes:
+def load_key(path: str | Path, named_by: str = "mavlink.signing_key_file") -> bytes:
     """Return the key in a file: 64 hexadecimal digits, or a passphrase, whose SHA-256 is the key as in ground stations.
+
+    Args:
+        path: The file.
+        named_by: The setting or flag that names it, for errors.
 
     Raises:
         ValueError: The file can't be read, or is empty; says what to do.
@@ -40,11 +44,9 @@ def load_key(path: str | Path) -> bytes:
         text = read_user_text(Path(path).expanduser(), limit=_KEY_FILE_MAX).strip()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not a text file"
-        raise ValueError(f"can't read the signing key {path} (mavlink.signing_key_file): {reason}.") from error
+        raise ValueError(f"can't read the key {path} ({named_by}): {reason}.") from error
     if not text:
-        raise ValueError(
-            f"the signing key {path} (mavlink.signing_key_file) is empty; write 64 hexadecimal digits or a passphrase."
-        )
+        raise ValueError(f"the key {path} ({named_by}) is empty; write 64 hexadecimal digits or a passphrase.")
     if len(text) == 64:
         try:
             return bytes.fromhex(text)

@@ -38,6 +38,7 @@ from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.stop_controller import StopCommand, StopController
 from aero_planner.onboard.thrust_estimate import ThrustEstimate
+from aero_planner.onboard.tuning import Tuning
 from aero_planner.onboard.watchdog import Heartbeat, Watchdog
 from aero_planner.plan import PlanStatus
 from aero_planner.planner import Planner
@@ -59,6 +60,7 @@ class Node:
         clock: Host time [s], the same as that of link and LiDAR.
         observers: The flight log and the telemetry server, for example; closed with the node.
         failsafe: Process that brakes if this whole process does not; closed with the node. None: fly without it.
+        tuning: Changes of the planner's parameters, which must be one of the observers, too. None: there are none.
 
     Raises:
         ValueError: The configurations of planner and node contradict each other, or the goal is invalid.
@@ -85,18 +87,17 @@ class Node:
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
         failsafe: Failsafe | None = None,
+        tuning: Tuning | None = None,
     ) -> None:
         check_together(planner.config, config)
         self.config = config
         self.changes: deque[StateChange] = deque(maxlen=1000)
-        self.failures = 0
-        self.sent = 0
-        self._link = link
-        self._lidar = lidar
+        self.failures = self.sent = 0
+        self._link, self._lidar = link, lidar
         self._goals = GoalTracker(config.limits, goal)
         self._clock = clock
         self._observers = tuple(observers)
-        self._failsafe = failsafe
+        self._failsafe, self._tuning = failsafe, tuning
         self._vehicle, self._range_min = planner.config.vehicle, planner.config.partition.range_min
         self._is_signed = config.mavlink.is_signed
         self._period = 1.0 / config.rates.control
@@ -125,11 +126,9 @@ class Node:
         self._readiness = ReadinessLog()
         self.snapshot: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
-        self._state_finite = True
+        self._state_finite, self._stopping = True, False
         self._points_time = -math.inf
-        self._stopping = False
-        self._fell_silent = threading.Event()
-        self._closing = threading.Event()
+        self._fell_silent, self._closing = threading.Event(), threading.Event()
         self._loops = self._make_loops()
         self._threads = LoopThreads(self._loops, self._closing)
 
@@ -231,17 +230,18 @@ class Node:
 
     def plan_once(self) -> bool:
         """Plan from the newest snapshot of the control loop; return True if there is a new plan."""
+        if self._tuning is not None and (change := self._replanner.take_change(self._tuning)) is not None:
+            self._notify(change)
         result = self._replanner.plan_once(self.snapshot)
         if result is None:
             return False
-        record = PlanRecord(
+        self._notify(PlanRecord(
             **vars(result),
             safety=self.state,
             missing=self.safety.missing(),
             late_ticks=self._loops["control"].statistics.missed,
             sweeps=self.config.lidar.sweeps + self.config.lidar.older_sweeps,
-        )
-        self._notify(record)
+        ))  # fmt: skip
         return True
 
     def watch_once(self) -> bool:

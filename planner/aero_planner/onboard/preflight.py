@@ -23,7 +23,7 @@ from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.log_place import check_log_place
 from aero_planner.onboard.mavlink import MavlinkLink
-from aero_planner.onboard.mavlink_signing import clock_is_set
+from aero_planner.onboard.mavlink_signing import clock_is_set, load_key
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
     check_parameters,
@@ -34,6 +34,7 @@ from aero_planner.onboard.px4_parameters import (
 )
 from aero_planner.onboard.settings import OnboardConfig, check_together
 from aero_planner.onboard.telemetry import listen
+from aero_planner.onboard.tuning_limits import tunable_parameters
 from aero_planner.sweeps import sweeps_within
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def preflight(
     checks = [_check_configuration(planner, onboard), *_check_versions(log is not None)]
     checks += [_check_device(planner, onboard, device), *_check_bundle(bundle)]
     checks += [check_thrust(planner, onboard), check_memory(planner, onboard), _check_clock(onboard), *_check_disk(log)]
+    checks += check_tuning(onboard)
     checks += [*_check_telemetry_port(onboard), *_check_receive_buffer(), _check_failsafe_process(planner, onboard)]
     with contextlib.ExitStack() as opened:
 
@@ -170,6 +172,9 @@ def check_thrust(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
 def check_memory(planner: PlannerConfig, onboard: OnboardConfig) -> Check:
     """Check that the cloud reaches back far enough for the speed limit, see `DroneConfig.sweep_memory`."""
     lidar, most = onboard.lidar, OnboardConfig.find("lidar.older_sweeps").high
+    with contextlib.suppress(ValueError, KeyError):  # where they are wrong, the check of the configuration says so
+        slowest = tunable_parameters(onboard.tuning.limits)["vehicle.speed_limit"].low
+        planner = planner.replace({"vehicle.speed_limit": slowest})
     needed = min(sweeps_within(planner.sweep_memory, lidar.sweep_period), lidar.sweeps + int(most or 0))
     known = lidar.sweeps + lidar.older_sweeps
     finding = f"the cloud reaches back {known * lidar.sweep_period:.1f} s, {known} sweeps"
@@ -217,6 +222,23 @@ def _check_telemetry_port(onboard: OnboardConfig) -> Iterator[Check]:
         yield Check(name, f"{address}: {error.strerror or error}", ok=False, required=False, advice=advice)
     else:
         yield Check(name, f"{address} is free")
+
+
+def check_tuning(onboard: OnboardConfig) -> Iterator[Check]:
+    """Check that the key for changes of parameters can be read, and that both settings are made or neither is."""
+    settings, name = onboard.tuning, "tuning"
+    if settings.key_file != "none":
+        try:
+            load_key(settings.key_file, "tuning.key_file")
+        except ValueError as error:
+            yield Check(name, str(error), ok=False, advice="The node doesn't start without the key that it names.")
+            return
+    elif settings.limits == "none":
+        return
+    finding = f"who holds the key may change: {settings.limits}"
+    is_complete = "none" not in (settings.key_file, settings.limits)
+    advice = "Nobody can change anything: that takes tuning.key_file and tuning.limits."
+    yield Check(name, finding, ok=is_complete, required=False, advice=advice)
 
 
 def _check_receive_buffer() -> Iterator[Check]:

@@ -17,10 +17,11 @@ from aero_planner.onboard.braking_path import choose_path
 from aero_planner.onboard.cloud_drift import Drift, measure_drift
 from aero_planner.onboard.dead_reckoning import MotionState, acceleration, propagate
 from aero_planner.onboard.ground_plane import find_ground
-from aero_planner.onboard.interfaces import PlanResult, PointPacket, VehicleSample
+from aero_planner.onboard.interfaces import ConfigChange, PlanResult, PointPacket, VehicleSample
 from aero_planner.onboard.plan_schedule import PlanSchedule, ScheduledPlan
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import make_sweep_buffer
+from aero_planner.onboard.tuning import Tuning
 from aero_planner.plan import Goal, VehicleState
 from aero_planner.planner import Planner
 from aero_planner.sweeps import Sweeps
@@ -77,7 +78,8 @@ class ControlSnapshot:
 class Replanner:
     """Owns the planner and the cloud.
 
-    The control loop calls `add_arrival`, `take_ground_height` and `take_drift`; the planning thread calls `plan_once`.
+    The control loop calls `add_arrival`, `take_ground_height` and `take_drift`; the planning thread calls `take_change`
+    and `plan_once`.
 
     Args:
         planner: The planner.
@@ -214,14 +216,23 @@ class Replanner:
             plan_ms=1e3 * duration,
         )
 
+    def take_change(self, tuning: Tuning) -> ConfigChange | None:
+        """Plan with the configuration that waits in `tuning`; return None if there is none."""
+        return tuning.take(self._configure)
+
+    def _configure(self, config: PlannerConfig) -> None:
+        """Plan with a configuration, but for the share of its speed limit that may be flown."""
+        limit, lowest = config.vehicle.speed_limit, PlannerConfig.find("vehicle.speed_limit").low or 0.0
+        self._planner.configure(config.replace({"vehicle.speed_limit": max(self._speed_share * limit, lowest)}))
+        self._config = config
+
     def _limit_speed(self, velocity_std: float) -> None:
         """Lower the planner's speed limit while the velocity is uncertain, by its standard deviation [m/s]."""
         share, before = speed_share(velocity_std, self._velocity_std), self._speed_share
         if share == before:
             return
         self._speed_share = share
-        limit, lowest = self._config.vehicle.speed_limit, PlannerConfig.find("vehicle.speed_limit").low or 0.0
-        self._planner.configure(self._config.replace({"vehicle.speed_limit": max(share * limit, lowest)}))
+        self._configure(self._config)
         if before == 1.0:
             _log.warning("the autopilot's velocity is uncertain by %.2f m/s: the speed is limited", velocity_std)
 

@@ -20,9 +20,11 @@ from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import Observer
 from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.log_place import make_log_path, unwritable
+from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
+from aero_planner.onboard.tuning import Tuning
 from aero_planner.planner import Planner
 
 _log = logging.getLogger("aero_planner")
@@ -76,11 +78,13 @@ def run_node(
         opened = resources.enter_context(contextlib.ExitStack())
         link = opened.enter_context(contextlib.closing(open_link(onboard, planner_config.vehicle, ros)))
         lidar = opened.enter_context(contextlib.closing(open_lidar(onboard, ros)))
-        observers = _open_observers(log, planner_config, onboard, opened)
+        tuning = _open_tuning(planner_config, onboard)
+        observers = _open_observers(log, planner_config, onboard, tuning, opened)
         failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer, lambda: link.min_signing_time)
         opened.callback(failsafe.close)
         with _planning_errors(device):
-            node = Node(planner, link, lidar, onboard, goal=goal, observers=observers, failsafe=failsafe)
+            own = {"goal": goal, "observers": observers, "failsafe": failsafe, "tuning": tuning}
+            node = Node(planner, link, lidar, onboard, **own)
             plan_time = node.warm_up()
         _log.info("a plan takes %.1f ms on %s", 1e3 * plan_time, planner.device)
         if bundle is not None and bundle.compiled():
@@ -131,10 +135,23 @@ def _planning_errors(device: str) -> Iterator[None]:
         raise ValueError(f"the planner can't plan on {device}: {error}") from error
 
 
+def _open_tuning(planner: PlannerConfig, onboard: OnboardConfig) -> Tuning | None:
+    settings = onboard.tuning
+    if settings.key_file == "none":
+        return None
+    key = load_key(settings.key_file, "tuning.key_file")
+    _log.info("who holds the key may change: %s", settings.limits)
+    return Tuning(planner, onboard, key)
+
+
 def _open_observers(
-    log: Path | None, planner: PlannerConfig, onboard: OnboardConfig, opened: contextlib.ExitStack
+    log: Path | None,
+    planner: PlannerConfig,
+    onboard: OnboardConfig,
+    tuning: Tuning | None,
+    opened: contextlib.ExitStack,
 ) -> list[Observer]:
-    observers: list[Observer] = []
+    observers: list[Observer] = [] if tuning is None else [tuning]
     if log is not None:
         path = make_log_path(log)
         try:
@@ -146,7 +163,7 @@ def _open_observers(
     if onboard.telemetry.enabled:
         host = onboard.telemetry.host
         try:
-            telemetry = Telemetry(planner, onboard)
+            telemetry = Telemetry(planner, onboard, tuning=tuning)
         except OSError as error:
             # The drone can fly without viewers.
             _log.warning("no viewer can connect to %s:%d: %s", host, onboard.telemetry.port, error.strerror or error)

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from aero_planner.config import PlannerConfig
-from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER, TOPIC
+from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER, KEY_FILE, TOPIC
+from aero_planner.onboard.tuning_limits import TUNING_LIMITS, check_limits
 from aero_planner.parameters import (
     ContradictionError,
     ParameterSection,
@@ -147,7 +148,7 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
         "here itself.", label="Senders of goals",
     )  # fmt: skip
     signing_key_file: str = text(
-        "none", r"[A-Za-z0-9_./~+-]+", "a path, or none",
+        "none", KEY_FILE, "a path, or none",
         "File with the key of MAVLink's signatures: 64 hexadecimal digits, or a passphrase. With it, every message is "
         "signed, and messages without a valid signature are ignored.", label="Signing key file",
     )  # fmt: skip
@@ -320,7 +321,7 @@ class TelemetrySettings(ParameterSection, section="telemetry"):
     enabled: bool = switch(True, "Serve the live plan to `aero-viz connect`.")
     host: str = text(
         "127.0.0.1", ANY_ADDRESS, "an address of this computer",
-        "Local address to listen on; with 0.0.0.0, everyone in the network can watch, but nobody can steer.",
+        "Local address to listen on; with 0.0.0.0, everyone in the network can watch.",
         label="Local address",
     )  # fmt: skip
     port: int = structural(14650, 0, 65535, "TCP port to listen on; 0 uses any free port.", label="TCP port")
@@ -330,6 +331,21 @@ class TelemetrySettings(ParameterSection, section="telemetry"):
         label="Maximum number of points",
     )  # fmt: skip
     clients_max: int = structural(4, 1, 64, "Largest number of viewers.", label="Maximum number of viewers")
+
+
+@dataclass(frozen=True)
+class TuningSettings(ParameterSection, section="tuning"):
+    """Changes of the planner's parameters from the ground, while the node runs."""
+
+    limits: str = text(
+        "none", TUNING_LIMITS, "none, or a list such as vehicle.speed_limit 1..5, costs.q_track 5..30",
+        "What `aero-viz connect` may change, separated by commas: live parameters of the planner, a number with its "
+        "bounds, anything else without.", label="Parameters that may be changed",
+    )  # fmt: skip
+    key_file: str = text(
+        "none", KEY_FILE, "a path, or none",
+        "File with the key of those who may change them: 64 hexadecimal digits, or a passphrase.", label="Key file",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -352,6 +368,7 @@ class OnboardConfig(SectionedConfig):
     brake: BrakeSettings = field(default_factory=BrakeSettings)
     response: ResponseSettings = field(default_factory=ResponseSettings)
     telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
+    tuning: TuningSettings = field(default_factory=TuningSettings)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -389,3 +406,4 @@ def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
             f"{vehicle.mass * vehicle.gravity:.2f} N, vehicle.mass x vehicle.gravity, or the drone can't fly.",
             "vehicle.thrust_max", "vehicle.mass", "vehicle.gravity",
         )  # fmt: skip
+    check_limits(planner, onboard.tuning.limits)

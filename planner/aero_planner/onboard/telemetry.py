@@ -1,4 +1,4 @@
-"""Telemetry server: sends the node's plans over TCP to viewers, whose own messages are discarded.
+"""Telemetry server: sends the node's plans over TCP to viewers; who holds a key may change parameters.
 
 A thread encodes and sends. It sends only the newest plan, at most `telemetry.rate` times per second, and only while
 there is a viewer. A viewer that is still receiving the previous message skips one. The node hands over a reference and
@@ -21,10 +21,12 @@ import numpy as np
 
 from aero_planner.config import PlannerConfig
 from aero_planner.mailbox import lower_thread_priority
-from aero_planner.onboard.interfaces import Observation, Observer, PlanRecord
+from aero_planner.onboard.interfaces import ConfigChange, Observation, Observer, PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
 from aero_planner.onboard.telemetry_protocol import Kind, encode
+from aero_planner.onboard.tuning import Tuning
+from aero_planner.onboard.tuning_link import TuningLink
 from aero_planner.plan import VehicleState
 
 _log = logging.getLogger(__name__)
@@ -45,15 +47,18 @@ _BACKLOG = 1 << 16
 """Largest number of unsent bytes with which a viewer is still sent a transition."""
 _STALL_TIMEOUT = 10.0
 """Time without progress after which a viewer is disconnected [s]."""
+_STATUS_PERIOD = 0.25
+"""Time between two reports of the parameters [s]."""
 _LARGEST_COORDINATE = 32767
 
 
 class _Viewer:
     """A connection to a viewer."""
 
-    def __init__(self, connection: socket.socket, name: str, now: float) -> None:
+    def __init__(self, connection: socket.socket, name: str, now: float, tuning: Tuning | None) -> None:
         self.connection = connection
         self.name = name
+        self.link = None if tuning is None else TuningLink(tuning, name)
         self.unsent = bytearray()
         self.last_progress = now
 
@@ -64,6 +69,7 @@ class Telemetry(Observer):
     Args:
         planner: Configuration of the planner, which viewers receive first.
         onboard: Configuration of the node; `onboard.telemetry` says where to listen.
+        tuning: What viewers may change; None discards what they send.
         clock: Host time [s].
 
     Raises:
@@ -77,13 +83,19 @@ class Telemetry(Observer):
     """
 
     def __init__(
-        self, planner: PlannerConfig, onboard: OnboardConfig, *, clock: Callable[[], float] = time.monotonic
+        self,
+        planner: PlannerConfig,
+        onboard: OnboardConfig,
+        *,
+        tuning: Tuning | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.sent = 0
         self.accepted = 0
         self.skipped = 0
         self._settings: TelemetrySettings = onboard.telemetry
-        self._hello = encode(Kind.HELLO, {"planner": planner.to_dict(), "onboard": onboard.to_dict()})
+        self._hello = {"planner": planner.to_dict(), "onboard": onboard.to_dict()}
+        self._tuning, self._next_status = tuning, -np.inf
         self._clock = clock
         self._next_plan = -np.inf
         self._viewers: dict[socket.socket, _Viewer] = {}
@@ -110,11 +122,14 @@ class Telemetry(Observer):
     # --- called by the node ---
 
     def observe(self, item: Observation) -> None:
-        """Offer a plan or a transition; anything else is ignored."""
+        """Offer a plan or a change; anything else is ignored."""
         if not self._viewers:
             return
         if isinstance(item, StateChange):
             self._changes.append(item)
+            self._notify_thread()
+        elif isinstance(item, ConfigChange):
+            self._next_status = -np.inf
             self._notify_thread()
         elif isinstance(item, PlanRecord) and (now := self._clock()) >= self._next_plan:
             # At a steady rate: the next plan is due one period after this one was due, unless that was long ago.
@@ -140,7 +155,7 @@ class Telemetry(Observer):
         lower_thread_priority()
         try:
             while not self._closed:
-                for key, events in self._selector.select(timeout=1.0):
+                for key, events in self._selector.select(timeout=1.0 if self._tuning is None else _STATUS_PERIOD):
                     if key.fileobj is self._server:
                         self._accept()
                     elif key.fileobj is self._wake_up_end:
@@ -148,6 +163,8 @@ class Telemetry(Observer):
                     else:
                         self._serve(self._viewers.get(key.fileobj), events)  # type: ignore[arg-type]
                 self._drop_stalled()
+                if self._tuning is not None and time.monotonic() >= self._next_status:
+                    self._send_status()
         except Exception:
             _log.exception("the telemetry server has failed and ends")
         finally:
@@ -166,11 +183,11 @@ class Telemetry(Observer):
             connection.close()
             return
         connection.setblocking(False)
-        viewer = _Viewer(connection, str(address[0]), self._clock())
+        viewer = _Viewer(connection, str(address[0]), self._clock(), self._tuning)
         self._viewers[connection] = viewer
         self._selector.register(connection, selectors.EVENT_READ)
         _log.info("viewer %s connected", viewer.name)
-        self._push(viewer, self._hello)
+        self._push(viewer, encode(Kind.HELLO, self._hello | ({} if viewer.link is None else viewer.link.greeting)))
 
     def _send_new(self) -> None:
         """Send the transitions and the newest plan that the node has offered."""
@@ -194,13 +211,23 @@ class Telemetry(Observer):
             for viewer in idle:
                 self._push(viewer, data)
 
+    def _send_status(self) -> None:
+        """Tell every viewer about the parameters; one that is still receiving something else is told next time."""
+        self._next_status = time.monotonic() + _STATUS_PERIOD
+        for viewer in list(self._viewers.values()):
+            if viewer.link is not None and len(viewer.unsent) < _BACKLOG:
+                self._push(viewer, viewer.link.status())
+
     def _serve(self, viewer: _Viewer | None, events: int) -> None:
         if viewer is None:
             return
         if events & selectors.EVENT_READ:
             try:
-                if not viewer.connection.recv(65536):
+                data = viewer.connection.recv(65536)
+                if not data:
                     return self._drop(viewer)
+                if viewer.link is not None and viewer.link.receive(data):
+                    self._next_status = -np.inf
             except BlockingIOError:
                 pass
             except OSError:
@@ -233,6 +260,8 @@ class Telemetry(Observer):
         if self._viewers.pop(viewer.connection, None) is not None:
             self._selector.unregister(viewer.connection)
             viewer.connection.close()
+            if viewer.link is not None:
+                viewer.link.abandon()
             _log.info("viewer %s disconnected", viewer.name)
 
 

@@ -44,6 +44,10 @@ class Kind(enum.IntEnum):
     """A plan and its inputs."""
     CHANGE = 3
     """A transition of the safety state."""
+    REQUEST = 4
+    """Sealed, from a viewer: first with its nonce to prove that it holds the key, then a change of parameters."""
+    STATUS = 5
+    """The present parameters and the answer to a request; sealed for a viewer who holds the key."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +87,14 @@ def encode(kind: Kind, values: Mapping[str, Any], arrays: Mapping[str, NDArray[A
 
 
 class MessageReader:
-    """Decodes messages from a stream of bytes."""
+    """Decodes messages from a stream of bytes.
 
-    def __init__(self) -> None:
+    Args:
+        largest: largest length of the content of a message [bytes].
+    """
+
+    def __init__(self, largest: int = _MAX_LENGTH) -> None:
+        self._largest = largest
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Message]:
@@ -105,7 +114,7 @@ class MessageReader:
                     f"the node uses version {version} of the telemetry protocol and this program version {VERSION}; "
                     "install the same release on both."
                 )
-            if not 0 < length <= _MAX_LENGTH or not _LENGTH.size <= size <= _MAX_LENGTH:
+            if not 0 < length <= self._largest or not _LENGTH.size <= size <= self._largest:
                 raise ValueError("a telemetry message has an impossible length.")
             end = _HEADER.size + length
             if len(self._buffer) < end:

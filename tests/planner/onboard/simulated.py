@@ -21,6 +21,7 @@ from aero_planner.onboard.interfaces import Observation, Observer, PointCounters
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopController
+from aero_planner.onboard.tuning import Tuning
 from aero_planner.quaternions import conjugate, rotate
 
 STEP = 0.005
@@ -154,13 +155,16 @@ class SlowPlanner:
 
     def __init__(self, planner: Planner, simulation: Simulation) -> None:
         self.simulation, self._planner = simulation, planner
-        self.config = planner.config
         self.reserve_sweeps, self.reset, self.configure = planner.reserve_sweeps, planner.reset, planner.configure
         self.spoil: Callable[[Plan], Plan] = lambda plan: plan
         self.ageing = 0.0
         """Time added to the age of the cloud [s]."""
         self.options: dict[str, Any] = {}
         """Options of the newest call of `plan`."""
+
+    @property
+    def config(self) -> PlannerConfig:
+        return self._planner.config
 
     def plan(self, *arguments: Any, cloud_age: float, **options: Any) -> Plan:
         self.options = options
@@ -180,6 +184,7 @@ class Simulation:
         state_delay: Age of a state when it arrives [s].
         changes: Changes to the node's settings.
         observers: Observers of the node.
+        tuning: Changes of the planner's parameters.
     """
 
     def __init__(
@@ -192,6 +197,7 @@ class Simulation:
         state_delay: float = 0.0,
         changes: dict[str, Any] | None = None,
         observers: Sequence[Observer] = (),
+        tuning: Tuning | None = None,
     ) -> None:
         planner.reset()
         self.now = 100.0
@@ -208,7 +214,8 @@ class Simulation:
             config,
             goal=goal,
             clock=lambda: self.now,
-            observers=observers,
+            observers=observers if tuning is None else [tuning, *observers],
+            tuning=tuning,
         )
         self.control_alive = True
         """False if the control loop stalls."""

@@ -12,7 +12,7 @@ from aero_planner import Planner, PlannerConfig
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.onboard.connections import open_lidar
 from aero_planner.onboard.input_checks import check_inputs
-from aero_planner.onboard.preflight import check_memory, check_thrust, preflight
+from aero_planner.onboard.preflight import check_memory, check_thrust, check_tuning, preflight
 from aero_planner.onboard.settings import OnboardConfig
 from tests.planner.onboard.mavlink_peer import ARMED, Peer, mavlink, odometry
 from tests.planner.onboard.simulated import PLACES, SMALL, Simulation, poles
@@ -264,6 +264,27 @@ def test_a_report_passes_if_all_required_checks_do():
     assert CheckReport((good, warning)).passed
     assert "warn  b  no" in CheckReport((good, warning)).format_table()
     assert not CheckReport((good, dataclasses.replace(warning, required=True))).passed
+
+
+def test_a_drone_that_may_become_slower_needs_the_memory_of_the_slowest():
+    onboard = OnboardConfig().replace({"lidar.older_sweeps": 20, "tuning.limits": "vehicle.speed_limit 1..7"})
+    check = check_memory(SMALL.replace({"vehicle.speed_limit": 7.0}), onboard)
+    assert not check.ok and "At a limit of 1 m/s" in check.advice and "set lidar.older_sweeps to 80" in check.advice
+
+
+def test_key_and_limits_of_the_tuning_are_checked(tmp_path: Path):
+    key = tmp_path / "key"
+    key.write_text("0" * 64)
+    limits = "costs.q_track 1..30"
+    for key_file, allowed, is_required, is_ok in (
+        (key, limits, False, True), (key, "none", False, False), ("none", limits, False, False),
+        (tmp_path / "missing", limits, True, False),
+    ):  # fmt: skip
+        settings = {"tuning.key_file": str(key_file), "tuning.limits": allowed}
+        (check,) = check_tuning(OnboardConfig().replace(settings))
+        assert (check.required, check.ok) == (is_required, is_ok), check
+    assert "can't read the key" in check.finding and "tuning.key_file" in check.finding
+    assert list(check_tuning(OnboardConfig())) == []
 
 
 @pytest.mark.parametrize(
