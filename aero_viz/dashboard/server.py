@@ -22,12 +22,13 @@ from websockets.asyncio.server import ServerConnection
 from aero_viz.dashboard import palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
+from aero_viz.dashboard.refusal_page import add_check, page_origin, refusal_of, refusal_page
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 from aero_viz.guests import BACKLOG, Guests, report_briefly
 from aero_viz.session.base import completed
-from aero_viz.web_access import ANY_ADDRESS, Access, is_encrypted, local_address, quiet_logger
+from aero_viz.web_access import ANY_ADDRESS, Access, Refusal, is_encrypted, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter takes 8 kB."""
@@ -153,7 +154,7 @@ class LocalServer(viser.ViserServer):
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
-            "process_response": self._add_security_headers,
+            "process_response": self._complete,
             "max_queue": _QUEUED_FRAMES,
             "max_size": MESSAGE_MAX,
             "backlog": BACKLOG,
@@ -178,7 +179,10 @@ class LocalServer(viser.ViserServer):
             await asyncio.sleep(0.01)
         refusal = self._access.refusal(request.headers)
         if refusal is not None:
-            return connection.respond(403, f"{refusal}\n")
+            return _refused(connection, request, refusal)
+        if (origin := page_origin(request.path)) is not None and "Upgrade" not in request.headers:
+            refusal = refusal_of(self._access, origin, request.headers)
+            return connection.respond(204, "") if refusal is None else _refused(connection, request, refusal)
         answer = None if self._tokens is None else self._check_token(self._tokens, connection, request)
         if answer is not None or "Upgrade" not in request.headers:
             return answer
@@ -187,7 +191,9 @@ class LocalServer(viser.ViserServer):
             return connection.respond(503, f"{_FULL}\n")
         return None
 
-    def _add_security_headers(self, _: ServerConnection, request: Request, response: Response) -> None:
+    def _complete(self, _: ServerConnection, request: Request, response: Response) -> None:
+        """Add the security headers to an answer, and the check of its address to the page."""
+        add_check(response)
         for name, value in self._access.security_headers.items():
             response.headers[name] = value
 
@@ -201,7 +207,8 @@ class LocalServer(viser.ViserServer):
         if cookie is None or "Upgrade" in request.headers:
             return None
         response = connection.respond(303, "")
-        response.headers["Location"] = "./" + tokens.without_token(request.path)
+        # The same path, which only the browser knows behind a proxy. The page removes a lone "?" from its address.
+        response.headers["Location"] = tokens.without_token(request.path) or "?"
         response.headers["Set-Cookie"] = cookie
         return response
 
@@ -277,6 +284,16 @@ class LocalServer(viser.ViserServer):
         scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
+
+
+def _refused(connection: ServerConnection, request: Request, refusal: Refusal) -> Response:
+    """Return an answer that says why a request is refused: a page for a browser, a sentence for a program."""
+    is_page = "Upgrade" not in request.headers
+    response = connection.respond(403, refusal_page(refusal) if is_page else f"{refusal.reason}\n")
+    if is_page:
+        del response.headers["Content-Type"]
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+    return response
 
 
 def _outward_address() -> str:
