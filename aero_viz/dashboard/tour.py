@@ -112,7 +112,7 @@ STOPS = (
         layers=("rollouts", "guides", "anchors"),
         count=400,
     ),
-    Stop("random_clutter", ("Indoors: boxes, poles and balls.", "The goal is the pink ball."), shot="orbit"),
+    Stop("random_clutter", ("Indoors: boxes, poles and balls.", "The goal is the pale ball in a ring."), shot="orbit"),
     Stop("pillars", ("A room with pillars, seen from above.",), shot="top", layers=("rollouts", "cloud"), seconds=8.0),
     Stop(
         "double_wall_trap",

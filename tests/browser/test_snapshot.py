@@ -20,7 +20,7 @@ from aero_viz.scenes import scene
 # Written by running this file.
 REFERENCE = Path(__file__).with_name("snapshot_reference.json")
 ARGUMENTS: dict[str, Any] = {"time": 1.0, "config": PlannerConfig.preset("paper"), "size": (640, 400)}
-COLORS = {name: getattr(palette, name) for name in ("GUIDE", "ANCHOR", "TRAIL")}
+COLORS = {name: getattr(palette, name) for name in ("GUIDE", "ANCHOR", "DRONE")}
 
 
 def structure(image: np.ndarray) -> dict[str, int]:

@@ -23,7 +23,6 @@ _NO_FACES = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
 _NO_MESH = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 _NO_ROWS = np.zeros(0, np.int64)
 _MOST_PATH_SEGMENTS = 2048
-_RECORDED_PLAN = palette.unmapped(palette.RECORDED_PLAN)
 _RECORDED = palette.unmapped(palette.RECORDED)
 
 
@@ -249,7 +248,7 @@ class RecordedPlanLayer(Layer):
     """Chosen rollout of the plan that was flown, from a flight log."""
 
     name, title = "recorded_plan", "Recorded plan"
-    keys = (ColorKey("recorded plan", palette.RECORDED_PLAN),)
+    keys = (ColorKey("recorded plan", palette.RECORDED),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self.available = False
@@ -257,9 +256,9 @@ class RecordedPlanLayer(Layer):
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self.available = source.recorded_plan is not None
-        return self._lines.show(np.zeros((0, 2, 3)), _RECORDED_PLAN)
+        return self._lines.show(np.zeros((0, 2, 3)), _RECORDED)
 
     def update(self, frame: Frame) -> list[Change]:
         recorded = frame.recorded_plan
         path = np.zeros((0, 3), np.float32) if recorded is None else recorded.path
-        return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED_PLAN)
+        return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED)
