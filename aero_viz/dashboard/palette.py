@@ -17,6 +17,8 @@ Colormap = NDArray[np.uint8]
 SKY_TOP: Rgb = (12, 16, 24)
 SKY_HORIZON: Rgb = (30, 38, 52)
 FOG: Rgb = (22, 28, 39)
+PAPER: Rgb = (0, 0, 0)
+PAPER_HORIZON: Rgb = (7, 8, 11)
 GROUND: Rgb = (23, 29, 40)
 GRID_CELL: Rgb = (36, 45, 60)
 GRID_SECTION: Rgb = (54, 67, 88)
@@ -38,19 +40,19 @@ NOSE = DRONE
 DRONE_DARK: Rgb = (44, 50, 60)
 ROTOR: Rgb = (150, 200, 255)
 CHOSEN: Rgb = (146, 228, 118)
-GUIDE: Rgb = (72, 149, 226)
-ENDPOINT: Rgb = (113, 171, 163)
-ANCHOR: Rgb = (110, 214, 210)
-GOAL: Rgb = (236, 236, 164)
-GHOST: Rgb = (180, 168, 234)
-RECORDED: Rgb = (112, 62, 234)
-SELECTED: Rgb = (236, 72, 210)
-MOVING: Rgb = (170, 39, 74)
-CONTINUED: Rgb = (166, 88, 16)
-UNSEEN: Rgb = (10, 167, 97)
-OCCLUDED: Rgb = (151, 78, 180)
+GUIDE: Rgb = (98, 161, 235)
+ENDPOINT: Rgb = (108, 173, 176)
+ANCHOR: Rgb = (145, 212, 196)
+GOAL: Rgb = (217, 236, 170)
+GHOST: Rgb = (185, 177, 222)
+RECORDED: Rgb = (89, 94, 232)
+SELECTED: Rgb = (195, 87, 194)
+MOVING: Rgb = (169, 84, 66)
+CONTINUED: Rgb = (154, 103, 144)
+UNSEEN: Rgb = (55, 168, 107)
+OCCLUDED: Rgb = (142, 133, 14)
 
-GOOD: Rgb = (53, 202, 137)
+GOOD: Rgb = (57, 204, 142)
 WARNING: Rgb = (250, 176, 5)
 BAD: Rgb = (255, 82, 82)
 MUTED: Rgb = (134, 146, 164)
@@ -158,16 +160,19 @@ def _light(colors: ArrayLike) -> NDArray[np.float64]:
     return v @ np.linalg.inv(_ACES_IN).T / _EXPOSURE
 
 
-# Inverts a colour and turns its hue by half, as the filter of CSS does: c -> c @ M + 1.
-TURNED_OVER = "invert(1) hue-rotate(180deg)"
+_INVERTED = 0.88
+"""Share of the inversion: less than all of it keeps the hues of what becomes dark."""
+TURNED_OVER = f"invert({_INVERTED}) hue-rotate(180deg) brightness({1.0 / _INVERTED:.4f})"
 """Filter of CSS that makes the light scene of the dark one."""
 _LUMA = np.array([0.213, 0.715, 0.072])
-_TURN = np.eye(3) - 2.0 * _LUMA[:, None]
+_HALF_TURN = 2.0 * _LUMA[:, None] - np.eye(3)
 
 
 def turned_over(colors: ArrayLike) -> NDArray[np.uint8]:
-    """Return colours of the dark scene, shape [..., 3], as the light scene shows them."""
-    return np.clip(255.0 + np.asarray(colors, dtype=np.float32) @ _TURN, 0.0, 255.0).round().astype(np.uint8)
+    """Return colours of the dark scene, shape [..., 3], as the light scene shows them, by the equations of the filter."""
+    inverted = 255.0 * _INVERTED + (1.0 - 2.0 * _INVERTED) * np.asarray(colors, dtype=np.float32)
+    turned = np.clip(inverted @ _HALF_TURN, 0.0, 255.0)
+    return np.clip(turned / _INVERTED, 0.0, 255.0).round().astype(np.uint8)
 
 
 def as_rgb(colors: NDArray[np.uint8]) -> list[Rgb]:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
-import numpy as np
 import viser
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
@@ -23,6 +22,7 @@ from aero_viz.dashboard import palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.refusal_page import add_check, page_origin, refusal_of, refusal_page
+from aero_viz.dashboard.scene_style import style_scene
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
@@ -46,6 +46,7 @@ _STYLE = "".join(
         # Colours of curves are chosen for a dark ground.
         ':root[data-mantine-color-scheme="light"] :is(.aero-curve,.aero-plot)'
         f"{{background:{palette.css(palette.PANEL[6])}!important}}",
+        f':root[data-mantine-color-scheme="light"] :is(canvas[data-engine],.aero-scene){{filter:{palette.TURNED_OVER}}}',
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # Everything below the playback controls scrolls separately, so that these stay in view.
@@ -276,12 +277,9 @@ class LocalServer(viser.ViserServer):
         self.gui.add_html(f"<style>{_STYLE}</style>")
         configure_theme(self.gui)
         scene = self.scene
-        scene.set_background_image(sky(256, 4), format="png")
+        style_scene(scene)
         scene.configure_environment_map(None)
         scene.configure_default_lights(False)
-        scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.9)
-        scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
-        scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
 
@@ -349,10 +347,3 @@ def _busy(host: str, port: int, error: OSError | None = None) -> UserError:
     return UserError(
         f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any free one."
     )
-
-
-def sky(height: int, width: int) -> np.ndarray:
-    """Return the background, a vertical gradient of shape [height, width, 3], uint8."""
-    mix = np.linspace(0.0, 1.0, height)[:, None, None]
-    rows = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
-    return np.repeat(rows, width, axis=1).round().astype(np.uint8)

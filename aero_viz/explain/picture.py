@@ -17,7 +17,7 @@ _FONT = 26
 _LINE = 36
 """Height of a line of text [pixels of the drawing]."""
 COLORS = {
-    "safe": "#35ca89",
+    "safe": "#39cc8e",
     "unsafe": "#ff5252",
     "chosen": "#92e476",
     "braking": "#e8e2ea",

@@ -76,7 +76,7 @@ class FineCellLayer(Layer):
     keys = (ColorKey("occupied, continued: not measured", palette.CONTINUED),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._patches = CellPatches(scene, "/fine_cells", opacity=0.3)
+        self._patches = CellPatches(scene, "/fine_cells", opacity=0.4)
 
     def update(self, frame: Frame) -> list[Change]:
         ranges, reach = full_plan(frame).fine_range.reshape(-1, 1), frame.config.farthest_range
