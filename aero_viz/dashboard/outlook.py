@@ -24,9 +24,9 @@ _TURNS = [
 _MARGIN = 0.25
 """Distance of obstacles from the line of sight [m]."""
 _AHEAD = (0.0, 0.25, 0.5)
-"""Times at which a line of sight must be free, at the present velocity, so that a view is left before it is blocked [s]."""
+"""Times from now at which a view must be free, at the present velocity, so that it is left before it is blocked [s]."""
 _PERIOD, _PAUSE = 0.06, 0.5
-"""Times between two looks for obstacles, and after a search that has found no free view [s]: it takes some processor time."""
+"""Times between two looks for obstacles, and after a search that has found no free view, which takes longest [s]."""
 _PATIENCE, _RETURN = 0.1, 1.5
 """Times for which a view must be blocked before it is left, and the wanted one free before it is taken again [s]."""
 _SMOOTHING = 0.3

@@ -169,7 +169,7 @@ _HALF_TURN = 2.0 * _LUMA[:, None] - np.eye(3)
 
 
 def turned_over(colors: ArrayLike) -> NDArray[np.uint8]:
-    """Return colours of the dark scene, shape [..., 3], as the light scene shows them, by the equations of the filter."""
+    """Return colours of the dark scene, shape [..., 3], as the light scene shows them: what the filter computes."""
     inverted = 255.0 * _INVERTED + (1.0 - 2.0 * _INVERTED) * np.asarray(colors, dtype=np.float32)
     turned = np.clip(inverted @ _HALF_TURN, 0.0, 255.0)
     return np.clip(turned / _INVERTED, 0.0, 255.0).round().astype(np.uint8)

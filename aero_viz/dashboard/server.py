@@ -18,7 +18,7 @@ import viser
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard import palette, viser_private
+from aero_viz.dashboard import accessibility, palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.refusal_page import add_check, page_origin, refusal_of, refusal_page
@@ -46,7 +46,8 @@ _STYLE = "".join(
         # Colours of curves are chosen for a dark ground.
         ':root[data-mantine-color-scheme="light"] :is(.aero-curve,.aero-plot)'
         f"{{background:{palette.css(palette.PANEL[6])}!important}}",
-        f':root[data-mantine-color-scheme="light"] :is(canvas[data-engine],.aero-scene){{filter:{palette.TURNED_OVER}}}',
+        ':root[data-mantine-color-scheme="light"] :is(canvas[data-engine],.aero-scene)'
+        f"{{filter:{palette.TURNED_OVER}}}",
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # Everything below the playback controls scrolls separately, so that these stay in view.
@@ -274,7 +275,7 @@ class LocalServer(viser.ViserServer):
             super().stop()
 
     def _style(self) -> None:
-        self.gui.add_html(f"<style>{_STYLE}</style>")
+        self.gui.add_html(f"<style>{_STYLE}{accessibility.STYLE}</style>")
         configure_theme(self.gui)
         scene = self.scene
         style_scene(scene)

@@ -35,7 +35,7 @@ class CloudLayer(Layer):
         self._scale: ColorScale | None = None
         self._shown: tuple[object, ...] | None = None
         self._sight: tuple[World, SightLines] | None = None
-        self._node = scene.add_point_cloud(
+        self.node = scene.add_point_cloud(
             "/cloud/points", np.zeros((_STEP, 3), np.float32), np.zeros((_STEP, 3), np.uint8),
             point_size=0.016, point_shape="circle", point_shading="flat", precision="float32", visible=False,
         )  # fmt: skip
@@ -47,7 +47,7 @@ class CloudLayer(Layer):
         self._shown = (cloud, self.color_by.value, top)
         points = _padded(self._unobstructed(self.thinned(frame.observation.sweeps), frame, top))
         if not len(points):
-            return [(self._node, "visible", False)]
+            return [(self.node, "visible", False)]
         if self.color_by.value == "range":
             origin = np.asarray(frame.observation.state.position, dtype=np.float32)
             ranges = np.linalg.norm(points - origin, axis=1)
@@ -61,7 +61,7 @@ class CloudLayer(Layer):
             self._scale = ColorScale(
                 "cloud: height", f"{low + 0.05:.1f} m and less", f"{high:.1f} m and more", palette.HEIGHT
             )
-        return [(self._node, "points", points), (self._node, "colors", colors), (self._node, "visible", True)]
+        return [(self.node, "points", points), (self.node, "colors", colors), (self.node, "visible", True)]
 
     def thinned(self, cloud: Sweeps) -> NDArray[np.float32]:
         """Return the points to draw [m], shape [n, 3]: at most 24 000 finite ones from all over the cloud."""

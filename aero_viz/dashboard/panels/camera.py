@@ -28,7 +28,12 @@ _HINT = (
     "follow, top and side move with the drone and keep the distance and direction that you choose with the mouse; free "
     "stays where it is. Every mode allows orbiting (left button), panning (right button) and zooming (wheel)."
 )
-_OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0), "ground": (-0.8, -3.4, 0.6)}
+_OFFSETS = {
+    "follow": (-5.2, 0.0, 2.3),
+    "top": (-0.01, 0.0, 24.0),
+    "side": (1.5, -9.0, 1.0),
+    "ground": (-0.8, -3.4, 0.6),
+}
 """Position of the camera relative to the drone [m], per view; +x points to the goal."""
 _TARGET_DISTANCE = 1.6
 """Distance from the drone to the point that the camera looks at, toward the goal [m]."""

@@ -128,10 +128,8 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]], tooltips: Sequ
 
 def _dot(color: Rgb, *, of_scene: bool = False) -> str:
     """Return a small disc in a colour, of the panels or of the scene."""
-    return (
-        f'<span class="{"aero-scene" if of_scene else ""}" style="display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;'
-        f'background:{css(color)}"></span>'
-    )
+    style = f"display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;background:{css(color)}"
+    return f'<span class="{"aero-scene" if of_scene else ""}" style="{style}"></span>'
 
 
 def key(entries: Iterable[tuple[str, Rgb]]) -> str:
