@@ -50,8 +50,9 @@ STYLE = "".join(
         "box-shadow:inset 0 0 0 1px var(--mantine-color-dimmed)}",
         ".mantine-Checkbox-icon{inset:9px!important;margin:auto}",
         ".mantine-Slider-root{padding-block:14px!important}"
-        '.mantine-Slider-thumb::after{content:"";position:absolute;inset:-17px}',
-        ".mantine-ScrollArea-content [role=tab]{padding:0 .55em!important;min-height:40px!important}}",
+        '.mantine-Slider-thumb::after{content:"";position:absolute;inset:-21px -3px}',
+        ".mantine-ScrollArea-content [role=tab]{padding:0 .55em!important;min-height:40px!important}"
+        ".mantine-ScrollArea-content div:has(>[role=tab]){margin-top:6px}}",
         # Where a window is low, as with large text, everything scrolls together.
         "@media(max-height:34em){.mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:none!important;overflow:visible!important}}",

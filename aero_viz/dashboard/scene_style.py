@@ -12,8 +12,8 @@ from aero_viz.dashboard import palette
 def style_scene(scene: viser.SceneApi, *, light: bool = False) -> None:
     """Give the scene of all visitors, or of one, its background, fog and lights.
 
-    The light scene is drawn dark and then turned over, by `palette.TURNED_OVER` or `palette.turned_over`. It is therefore
-    lit from below here, and its background is black: it becomes white paper, with the sun above it.
+    The light scene is drawn dark and then turned over, by `palette.TURNED_OVER` or `palette.turned_over`. It is
+    therefore lit from below here, and its background is black: it becomes white paper, with the sun above it.
     """
     scene.set_background_image(sky(256, 4, light=light), format="png")
     scene.configure_fog(14.0, 62.0, color=palette.PAPER_HORIZON if light else palette.FOG)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from typing import Any
 
@@ -35,6 +36,10 @@ SMALL = """
 }
 """
 """Script that returns the controls that a finger misses 19 px beside their middle."""
+
+
+FOCUSED = "document.activeElement.matches('input') && document.activeElement.id"
+"""Script that returns whether a field has the focus."""
 
 
 def nodes(page: Page) -> list[tuple[str, str, Any]]:
@@ -92,28 +97,36 @@ def test_a_finger_hits_every_control_of_a_phone(phone: Page):
 
 def test_a_finger_plays_and_changes_a_layer(phone: Page, restored_desk: Desk):
     phone.get_by_role("button", name="+1", exact=True).tap()
-    restored_desk.wait_for(lambda: restored_desk.session.frame.index == 10, "one tick")
+    session = restored_desk.session
+    restored_desk.wait_for(lambda: session.frame is not None and session.frame.index == 10, "one tick")
     phone.get_by_role("tab", name="Layers").tap()
     number = max(restored_desk.dashboard.server.get_clients())
     layer = restored_desk.dashboard.layers["trail"]
     before = layer.is_visible_to(number)
-    box = phone.get_by_role("checkbox", name="Flown trail").bounding_box()
+    switch = phone.get_by_role("checkbox", name="Flown trail")
+    switch.scroll_into_view_if_needed()
+    box = switch.bounding_box()
+    assert box is not None
     phone.touchscreen.tap(box["x"] + 2, box["y"] + 2)
     restored_desk.wait_for(lambda: layer.is_visible_to(number) != before, "the other state")
 
 
 def test_at_200_percent_every_control_of_a_tab_can_be_reached(restored_desk: Desk, browser: Browser):
-    page = visit(browser, restored_desk.dashboard.url, size=(640, 360), resolution=COARSE)  # of 1280 x 720
-    for tab, control in (("Fly", "Open path"), ("World", "Save world"), ("Tune", "Save as a preset")):
+    with contextlib.closing(visit(browser, restored_desk.dashboard.url, size=(640, 360), resolution=COARSE)) as page:
+        _reach_everything(page)
+
+
+def _reach_everything(page: Page) -> None:
+    for tab, control in (("Fly", "Open path"), ("World", "Save world"), ("Tune", "Compare: pin as A")):
         page.get_by_role("tab", name=tab).click()
         button = page.get_by_role("button", name=control).first
         button.scroll_into_view_if_needed()
         box = button.bounding_box()
+        assert box is not None
         hit = "([x, y]) => document.elementFromPoint(x, y).closest('button')?.innerText.trim()"
         assert page.evaluate(hit, [box["x"] + box["width"] / 2, box["y"] + box["height"] / 2]).startswith(control)
-        assert 0 <= box["x"] and box["x"] + box["width"] <= 640
+        assert box["x"] >= 0 and box["x"] + box["width"] <= 640
     assert page.evaluate("document.documentElement.scrollWidth") <= 640
-    page.close()
 
 
 def run(page: Page, words: str, command: str) -> None:
@@ -143,15 +156,14 @@ def test_the_keyboard_alone_finds_tabs_layers_and_parameters_and_changes_a_value
     path = "costs.q_track"
     expert = next(info for info in desk.session.config.parameters() if info.live and not info.basic)
     for info in (desk.session.config.find(path), expert):
-        run(page, f"parameter {info.path}", info.title)
-        field = "document.activeElement.matches('input') && document.activeElement.id"
-        desk.wait_for(lambda: page.evaluate(field), f"the focus on {info.path}")
+        run(page, f"parameter: {info.title}", info.title)
+        desk.wait_for(lambda: page.evaluate(FOCUSED), f"the focus on {info.path}")
         label = "document.querySelector(`label[for='${document.activeElement.id}']`)?.innerText"
         assert page.evaluate(label).strip() == info.title
         page.keyboard.press("Escape")
         page.evaluate("document.activeElement.blur()")
-    run(page, f"parameter {path}", desk.session.config.find(path).title)
-    desk.wait_for(lambda: page.evaluate("document.activeElement.matches('input')"), "the focus")
+    run(page, path, desk.session.config.find(path).title)
+    desk.wait_for(lambda: page.evaluate(FOCUSED), "the focus")
     page.keyboard.press("Control+a")
     page.keyboard.type("7")
     page.keyboard.press("Enter")

@@ -96,6 +96,7 @@ def test_the_light_page_has_a_scene_for_paper_whose_legend_shows_the_same_colour
             grid = np.abs(picture[-200:] - np.median(picture[-200:].reshape(-1, 3), axis=0)).max(axis=-1)
             assert (grid > 20).sum() > 200, "lines on the ground"
             swatch = desk.page.locator("span.aero-scene").first.bounding_box()
+            assert swatch is not None
             shown = desk.page.screenshot(clip={"x": swatch["x"] + 3, "y": swatch["y"] + 3, "width": 2, "height": 2})
             assert np.abs(iio.imread(shown)[..., :3].astype(int) - chosen).max() < 24, theme
         assert desk.console == [] and desk.dashboard.failures == 0

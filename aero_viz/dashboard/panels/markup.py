@@ -141,8 +141,9 @@ def key(entries: Iterable[tuple[str, Rgb]]) -> str:
 def scale(label: str, low: str, high: str, colormap: palette.Colormap) -> str:
     """Return a legend of a colormap, with a text at either end."""
     return (
-        f'<div style="font-size:11px">{muted(label)}<div class="aero-scene" style="height:7px;border-radius:3px;margin:2px 0;'
-        f'background:{palette.gradient(colormap)}"></div><div style="display:flex;justify-content:space-between">'
+        f'<div style="font-size:11px">{muted(label)}<div class="aero-scene" style="height:7px;border-radius:3px;'
+        f'margin:2px 0;background:{palette.gradient(colormap)}"></div>'
+        f'<div style="display:flex;justify-content:space-between">'
         f'<span class="aero-low">{text(low)}</span><span class="aero-high">{text(high)}</span></div></div>'
     )
 
