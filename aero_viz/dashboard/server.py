@@ -209,8 +209,9 @@ class LocalServer(viser.ViserServer):
         if cookie is None or "Upgrade" in request.headers:
             return None
         response = connection.respond(303, "")
-        # The same path, which only the browser knows behind a proxy. The page removes a lone "?" from its address.
-        response.headers["Location"] = tokens.without_token(request.path) or "?"
+        rest = tokens.without_token(request.path)
+        # Behind a proxy, only the browser knows the path; the page removes a lone "?" from its address.
+        response.headers["Location"] = (rest or "?") if self._access.proxies else f"./{rest}"
         response.headers["Set-Cookie"] = cookie
         return response
 

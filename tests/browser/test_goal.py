@@ -69,6 +69,7 @@ def test_the_handle_of_a_goal_is_24_pixels_wide_at_any_distance(near, distance, 
     before, (column, row) = goal_of(near), tip(near)
     near.drag((column + beside, row + 0.1 * ARROW), (0.0, -16.0))
     near.wait_for(lambda: goal_of(near)[2] > before[2] + 0.1, "a higher goal")
+    near.settled(lambda: goal_of(near), "the end of the drag")
     np.testing.assert_allclose(goal_of(near)[:2], before[:2], atol=1e-3)
 
 

@@ -57,14 +57,14 @@ def test_a_proxy_is_a_way_for_other_machines_too():
 def test_the_entries_of_a_link_stay_when_its_token_becomes_a_cookie(public: LocalServer):
     setting = "source=datasets/forest_mid360.mcap&seed=3&" + "&".join(f"costs.q_{i}=%C3%BC" for i in range(20))
     answer = get(public, f"{query(public)}&{setting}")
-    assert answer.status == 303 and answer.headers["Location"] == f"?{setting}"
+    assert answer.status == 303 and answer.headers["Location"] == f"./?{setting}"
     assert get(public, f"/?{setting}", cookie_of(answer)).status == 200
 
 
 @pytest.mark.parametrize("view_only", [False, True])
 def test_a_link_moves_its_token_to_a_cookie_that_opens_page_and_websocket(public: LocalServer, view_only):
     answer = get(public, query(public, view_only=view_only))
-    assert answer.status == 303 and answer.headers["Location"] == "?"
+    assert answer.status == 303 and answer.headers["Location"] == "./"
     assert "HttpOnly" in answer.headers["Set-Cookie"] and "SameSite=Lax" in answer.headers["Set-Cookie"]
     cookie = cookie_of(answer)
     assert get(public, "/", cookie).status == 200
