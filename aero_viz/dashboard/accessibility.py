@@ -43,6 +43,7 @@ STYLE = "".join(
         ".mantine-Select-input,.mantine-TextInput-input,.mantine-NumberInput-input)",
         "{min-height:40px!important;min-width:40px!important;height:auto!important}",
         ".mantine-NumberInput-controls{display:none!important}.mantine-NumberInput-input{padding-right:.5em!important}",
+        ".mantine-ScrollArea-scrollbar{display:none!important}",  # it lies over the controls; a finger drags them
         # The border takes the finger and shows nothing.
         ".mantine-Checkbox-root:has(input),.mantine-Checkbox-inner,.mantine-Checkbox-input"
         "{width:40px!important;height:40px!important}",

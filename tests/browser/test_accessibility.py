@@ -25,12 +25,11 @@ SMALL = """
     e.scrollIntoView({block: "center"});
     const box = e.getBoundingClientRect(), x = box.x + box.width / 2, y = box.y + box.height / 2;
     const offsets = [[0, -19], [0, 19], ...(e.matches("[role=slider]") ? [] : [[-19, 0], [19, 0]])];
-    const hits = offsets.every(([dx, dy]) => {
+    for (const [dx, dy] of offsets) {
       const found = document.elementFromPoint(x + dx, y + dy);
-      return found && (e.contains(found) || found.contains(e) && found.closest(".mantine-Slider-root") ||
-                       found.closest("label")?.control === e);
-    });
-    if (!hits) small.push(`${e.tagName} ${e.ariaLabel ?? e.innerText} ${box.width} x ${box.height}`);
+      if (found && (e.contains(found) || found.contains(e) && found.closest(".mantine-Slider-root"))) continue;
+      small.push(`${e.tagName} ${e.ariaLabel ?? e.innerText}: ${found?.outerHTML.slice(0, 200)} at ${dx}, ${dy}`);
+    }
   }
   return small;
 }
@@ -140,8 +139,9 @@ def run(page: Page, words: str, command: str) -> None:
     page.get_by_placeholder("Search commands...").wait_for(state="hidden")
 
 
-def test_the_keyboard_alone_finds_tabs_layers_and_parameters_and_changes_a_value(restored_desk: Desk):
-    desk, page = restored_desk, restored_desk.page
+def test_the_keyboard_alone_finds_tabs_layers_and_parameters_and_changes_a_value(fresh_desk: Desk):
+    desk, page = fresh_desk, fresh_desk.page
+    page.get_by_role("button", name="Search commands").wait_for()
     run(page, "tab world", "Tab: World")
     page.get_by_role("button", name="Throw an obstacle").wait_for()
     desk.wait_for(lambda: page.evaluate("document.activeElement.innerText.trim()") == "World", "the focus on the tab")
