@@ -79,7 +79,8 @@ class FinderPanel(Panel):
                 if (element := panel.find(client, path)) is not None:
                     _go(client, title, element)
 
-            _offer(client, f"Parameter: {info.title}", info.path, show)
+            # The longer a description, the lower the palette ranks what it finds there: keys come before parameters.
+            _offer(client, f"Parameter: {info.title}", f"{info.path}: {info.help}", show)
 
 
 def _offer(client: viser.ClientHandle, label: str, description: str | None, action: Callable[[], object]) -> None:
