@@ -54,7 +54,6 @@ STYLE = "".join(
         '.mantine-Slider-thumb::after{content:"";position:absolute;inset:-21px -3px}',
         ".mantine-ScrollArea-content [role=tab]{padding:0 .55em!important;min-height:40px!important}"
         ".mantine-ScrollArea-content div:has(>[role=tab]){margin-top:6px}}",
-        ".mantine-Spotlight-actionDescription{max-width:32em;white-space:nowrap;overflow:hidden;text-overflow:ellipsis}",
         # Where a window is low, as with large text, everything scrolls together.
         "@media(max-height:34em){.mantine-ScrollArea-content div:has(>[role=tab])+div"
         "{max-height:none!important;overflow:visible!important}}",

@@ -26,7 +26,8 @@ MODE_CLASS = "aero-camera-"
 """Class of the element before the buttons, followed by the number of the active one, from 1."""
 _HINT = (
     "follow, top and side move with the drone and keep the distance and direction that you choose with the mouse; "
-    "follow looks past obstacles, top cuts what is above the drone, free stays where it is. Every mode allows orbiting (left button), panning (right button) and zooming (wheel)."
+    "follow looks past obstacles, top cuts what is above the drone, free stays where it is. Every mode allows orbiting "
+    "(left button), panning (right button) and zooming (wheel)."
 )
 _OFFSETS = {
     "follow": (-5.2, 0.0, 2.3),

@@ -60,7 +60,7 @@ class FinderPanel(Panel):
         run_script(client, NAMES)
         with client.atomic():
             for title in self._tabs:
-                _offer(client, f"Tab: {title}", None, lambda title=title: _go(client, title))
+                _offer(client, f"Tab: {title}", lambda title=title: _go(client, title))
             if self._toggle is not None:
                 self._offer_layers(client, self._toggle)
             if self._parameters is not None:
@@ -70,7 +70,7 @@ class FinderPanel(Panel):
         keyed = {key.argument for key in KEYS if key.action == "layer"}
         for name, layer in self.page.layers.items():
             if name not in keyed:
-                _offer(client, f"Layer: {layer.title}", None, lambda name=name: toggle(client, name))
+                _offer(client, f"Layer: {layer.title}", lambda name=name: toggle(client, name))
 
     def _offer_parameters(self, client: viser.ClientHandle, panel: ParameterPanel, title: str) -> None:
         for info in self.session.config.parameters():
@@ -79,12 +79,12 @@ class FinderPanel(Panel):
                 if (element := panel.find(client, path)) is not None:
                     _go(client, title, element)
 
-            # The longer a description, the lower the palette ranks what it finds there: keys come before parameters.
-            _offer(client, f"Parameter: {info.title}", f"{info.path}: {info.help}", show)
+            # The palette ranks words in short labels first, and those in a description above all: keys stay before.
+            _offer(client, f"Parameter: {info.title}, {info.path}", show)
 
 
-def _offer(client: viser.ClientHandle, label: str, description: str | None, action: Callable[[], object]) -> None:
-    @client.gui.add_command(label, description=description).on_trigger
+def _offer(client: viser.ClientHandle, label: str, action: Callable[[], object]) -> None:
+    @client.gui.add_command(label).on_trigger
     async def _(_: viser.CommandEvent) -> None:
         action()
 
