@@ -7,6 +7,7 @@ import logging
 import re
 import socket
 from collections.abc import Sequence
+from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from websockets import Headers
@@ -27,6 +28,18 @@ _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 """Hosts that stand for all addresses of the machine."""
 _PORTS = {"http": 80, "https": 443}
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """Why a request is refused."""
+
+    header: str
+    """Header that decided: Host, Origin or Sec-Fetch-Site."""
+    reason: str
+    """One sentence."""
+    name: str = ""
+    """Name of a host in that header; empty if there is none that can be read."""
 
 
 class Access:
@@ -78,23 +91,22 @@ class Access:
         else:
             self._names.add(host)
 
-    def refusal(self, headers: Headers) -> str | None:
+    def refusal(self, headers: Headers) -> Refusal | None:
         """Return why a request with these headers is refused, None if it is answered."""
         host = _place(f"//{_only(headers, 'Host') or ''}")
         if host is None or not self._is_known(host[0]):
-            shown = repr(host[0]) if host else "no readable name"
-            return (
-                f"The request asks for {shown}, a name that this server was not started for; if it is the name of a "
-                "proxy or of this machine, add --host or --allow-host."
-            )
+            name = host[0] if host else ""
+            shown = repr(name[:100]) if name else "no readable name"
+            return Refusal("Host", f"The request asks for {shown}, a name that this server was not started for.", name)
         written = _only(headers, "Origin")
         origin = None if written is None else _origin(written)
         if origin is not None and origin in self._origins:
             return None
         if written is not None and (origin is None or not self._is_own(origin, host)):
-            return f"The request comes from the page of another origin, {written[:100]!r}."
+            reason = f"The request comes from the page of another origin, {written[:100]!r}, and asks for {host[0]!r}."
+            return Refusal("Origin", reason, origin[1] if origin else "")
         if not _is_own_navigation(headers, in_frames=self._is_embedded):
-            return "The request was made by a page of another site."
+            return Refusal("Sec-Fetch-Site", "The request was made by a page of another site.")
         return None
 
     @property

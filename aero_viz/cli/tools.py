@@ -37,6 +37,7 @@ def snapshot(
     camera: str = "follow",
     layers: OptionalText = None,
     legend: bool = False,
+    light: bool = False,
     size: tuple[int, int] = (1600, 1000),
     seed: int = 0,
     device: str = "cpu",
@@ -55,6 +56,7 @@ def snapshot(
         camera: follow, top or side; or position and look-at point as six numbers, such as 0,-8,4,3,0,2 [m].
         layers: Layers to show, separated by commas, such as rollouts,drone; by default those of the page.
         legend: Explain the colours in a corner of the picture.
+        light: Draw the scene on white, for paper.
         size: Width and height [pixels].
         seed: Seed of the scene, the LiDAR and the planner's noise.
         device: Warp device of planner and simulation.
@@ -76,6 +78,7 @@ def snapshot(
         camera=_viewpoint(camera),
         layers=None if layers is None else [name.strip() for name in layers.split(",")],
         legend=legend,
+        light=light,
         size=size,
         path=output,
         seed=seed,

@@ -1,14 +1,7 @@
-"""Colours and colormaps of the page.
+"""Colours and colormaps of the page, each with one meaning, in the scene, in the legend and in the panels.
 
-Each layer has its own hue, in the scene, in the legend and in the status panel:
-
-    rollouts   COST by Stage II cost, bright is good          chosen     green
-    cloud      HEIGHT by height, or  NEAR_TO_FAR by range     guides     blue
-    endpoints  grey before the refinement, cyan after         goal       rose
-    selection  magenta
-    drone      white with an orange nose, orange trail        recording  violet
-    cells      NEAR_TO_FAR by range where measured        directions VIRIDIS by free range
-               pale lilac where continued, brown where unseen, indigo where occluded
+Colours that mean something differ from each other and from all colormaps, for readers with a red-green deficiency, too.
+The light scene is the dark one with its lightness turned over: a colour keeps its hue, its contrast and its meaning.
 """
 
 from __future__ import annotations
@@ -24,6 +17,8 @@ Colormap = NDArray[np.uint8]
 SKY_TOP: Rgb = (12, 16, 24)
 SKY_HORIZON: Rgb = (30, 38, 52)
 FOG: Rgb = (22, 28, 39)
+PAPER: Rgb = (0, 0, 0)
+PAPER_HORIZON: Rgb = (7, 8, 11)
 GROUND: Rgb = (23, 29, 40)
 GRID_CELL: Rgb = (36, 45, 60)
 GRID_SECTION: Rgb = (54, 67, 88)
@@ -40,26 +35,24 @@ PANEL: dict[int, Rgb] = {
 }
 """Shades of the panels, by number in the page's theme."""
 
-DRONE: Rgb = (236, 240, 246)
+DRONE: Rgb = (232, 226, 234)
+NOSE = DRONE
 DRONE_DARK: Rgb = (44, 50, 60)
 ROTOR: Rgb = (150, 200, 255)
-NOSE: Rgb = (240, 151, 57)
-TRAIL: Rgb = (214, 222, 234)
-GHOST: Rgb = (214, 132, 190)
 CHOSEN: Rgb = (146, 228, 118)
-GUIDE: Rgb = (72, 149, 226)
-ENDPOINT: Rgb = (138, 150, 168)
-ANCHOR: Rgb = (110, 214, 210)
-GOAL: Rgb = (246, 58, 118)
-RECORDED: Rgb = (178, 131, 227)
-RECORDED_PLAN: Rgb = (206, 160, 250)
-SELECTED: Rgb = (255, 70, 255)
-MOVING: Rgb = (255, 128, 72)
-CONTINUED: Rgb = (208, 196, 232)
-UNSEEN: Rgb = (196, 120, 92)
-OCCLUDED: Rgb = (96, 92, 190)
+GUIDE: Rgb = (98, 161, 235)
+ENDPOINT: Rgb = (108, 173, 176)
+ANCHOR: Rgb = (145, 212, 196)
+GOAL: Rgb = (217, 236, 170)
+GHOST: Rgb = (185, 177, 222)
+RECORDED: Rgb = (89, 94, 232)
+SELECTED: Rgb = (195, 87, 194)
+MOVING: Rgb = (142, 133, 14)
+CONTINUED: Rgb = (154, 103, 144)
+UNSEEN: Rgb = (55, 168, 107)
+OCCLUDED: Rgb = (169, 84, 66)
 
-GOOD: Rgb = (52, 211, 123)
+GOOD: Rgb = (57, 204, 142)
 WARNING: Rgb = (250, 176, 5)
 BAD: Rgb = (255, 82, 82)
 MUTED: Rgb = (134, 146, 164)
@@ -68,6 +61,26 @@ CURVES: tuple[Rgb, ...] = (
     (72, 149, 246), (240, 141, 49), (44, 184, 116), (172, 118, 232), (236, 84, 92), (22, 176, 190), (196, 160, 40)
 )  # fmt: skip
 """Colours of curves, which can be seen on dark and on light panels."""
+MEANINGS: dict[Rgb, str] = {
+    DRONE: "the drone, and where it has flown",
+    OBSTACLE: "obstacles",
+    CHOSEN: "the plan that is flown",
+    GUIDE: "guides",
+    ENDPOINT: "endpoints before the refinement",
+    ANCHOR: "anchors, and their cells",
+    GOAL: "the goal",
+    GHOST: "the other flight: configuration A, or the future before a fork",
+    RECORDED: "what a file has recorded",
+    SELECTED: "what a visitor has selected",
+    MOVING: "dynamic obstacles",
+    CONTINUED: "surfaces that are continued, not measured",
+    UNSEEN: "space that is not seen, and assumed to be free",
+    OCCLUDED: "space that is occluded",
+    GOOD: "all is well",
+    WARNING: "attention",
+    BAD: "a failure",
+}
+"""What each colour means."""
 
 OUTCOMES: dict[str, Rgb] = {"arrived": GOOD, "collision": BAD, "end": MUTED}
 """Colours of the outcomes of flights; the others have that of a warning."""
@@ -78,14 +91,19 @@ def colormap(name: str) -> Colormap:
     return (255 * cmap.Colormap(name).lut()[:, :3]).astype(np.uint8)
 
 
-VIRIDIS = colormap("viridis")
-PLASMA = colormap("plasma")
-COST = PLASMA[62:224]
-"""Stage II cost from bad to good, without the ends, which are hard to see in the scene."""
-HEIGHT = VIRIDIS[70:]
-"""Height from low to high, without the dark end, which is hard to see on the ground."""
-NEAR_TO_FAR = colormap("turbo")[20:236][::-1]
-"""Range: red is near, blue is far, without the ends, which are too dark for the scene."""
+COST = colormap("plasma")[62:210]
+"""Cost from bad to good, without the ends, which are hard to see in the scene or belong to ranges."""
+HEIGHT = colormap("viridis")[70:140]
+"""Height from low to high, without the dark end, which is hard to see on the ground, and the end of other greens."""
+NEAR_TO_FAR = np.array(
+    [
+        np.interp(np.linspace(0.0, 1.0, 256), (0.0, 0.5, 1.0), ends)
+        for ends in ((253, 140, 44), (231, 138, 74), (55, 122, 196))
+    ]
+).T.astype(np.uint8)
+"""Range: yellow is near, blue is far."""
+SHARES = colormap("colorbrewer:blues")[70:215]
+"""Parts of a whole, in a panel."""
 
 
 def colorize(values: ArrayLike, low: float, high: float, colormap: Colormap) -> NDArray[np.uint8]:
@@ -144,6 +162,21 @@ def _light(colors: ArrayLike) -> NDArray[np.float64]:
     p, q, r = 1.0 - _C * y, _A - _D * y, -_B - _E * y
     v = (-q + np.sqrt(q * q - 4.0 * p * r)) / (2.0 * p)
     return v @ np.linalg.inv(_ACES_IN).T / _EXPOSURE
+
+
+_INVERTED = 0.88
+"""Share of the inversion: less than all of it keeps the hues of what becomes dark."""
+TURNED_OVER = f"invert({_INVERTED}) hue-rotate(180deg) brightness({1.0 / _INVERTED:.4f})"
+"""Filter of CSS that makes the light scene of the dark one."""
+_LUMA = np.array([0.213, 0.715, 0.072])
+_HALF_TURN = 2.0 * _LUMA[:, None] - np.eye(3)
+
+
+def turned_over(colors: ArrayLike) -> NDArray[np.uint8]:
+    """Return colours of the dark scene, shape [..., 3], as the light scene shows them: what the filter computes."""
+    inverted = 255.0 * _INVERTED + (1.0 - 2.0 * _INVERTED) * np.asarray(colors, dtype=np.float32)
+    turned = np.clip(inverted @ _HALF_TURN, 0.0, 255.0)
+    return np.clip(turned / _INVERTED, 0.0, 255.0).round().astype(np.uint8)
 
 
 def as_rgb(colors: NDArray[np.uint8]) -> list[Rgb]:

@@ -25,7 +25,7 @@ def quadrotor() -> dict[str, tuple[Mesh, palette.Rgb, float | None]]:
     return {
         "body": (box_mesh(np.array(body)), palette.DRONE, None),
         "arms": (box_mesh(np.array([*arms, *motors, lidar])), palette.DRONE_DARK, None),
-        "rotor_rings": (joined_mesh(rings[1:3]), palette.DRONE, None),
+        "rotor_rings": (joined_mesh(rings[1:3]), palette.DRONE_DARK, None),
         "nose": (joined_mesh([*rings[:1], *rings[3:], nose]), palette.NOSE, None),
         "discs": (joined_mesh(discs), palette.ROTOR, 0.25),
     }

@@ -14,21 +14,22 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Any
 
-import numpy as np
 import viser
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard import palette, viser_private
+from aero_viz.dashboard import accessibility, palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.page_messages import PageMessage
+from aero_viz.dashboard.refusal_page import add_check, page_origin, refusal_of, refusal_page
+from aero_viz.dashboard.scene_style import style_scene
 from aero_viz.dashboard.tokens import Role, Tokens
 from aero_viz.dashboard.visitors import Visitors
 from aero_viz.errors import UserError
 from aero_viz.guests import BACKLOG, Guests, report_briefly
 from aero_viz.session.base import completed
-from aero_viz.web_access import ANY_ADDRESS, Access, is_encrypted, local_address, quiet_logger
+from aero_viz.web_access import ANY_ADDRESS, Access, Refusal, is_encrypted, local_address, quiet_logger
 
 UPLOAD_LIMIT = 256_000
 """Size of the largest file that a page may upload [bytes]. A file with every parameter takes 8 kB."""
@@ -45,6 +46,8 @@ _STYLE = "".join(
         "--mantine-color-body:var(--mantine-color-dark-7)!important}",
         # Colours of curves are chosen for a dark ground.
         f':root[data-mantine-color-scheme="light"] .aero-plot{{background:{palette.css(palette.PANEL[6])}!important}}',
+        ':root[data-mantine-color-scheme="light"] :is(canvas[data-engine],.aero-scene)'
+        f"{{filter:{palette.TURNED_OVER}}}",
         # Room for the number 100000 next to a slider.
         '[style*="3rem"]>div>.mantine-NumberInput-input{padding-inline:2px!important}',
         # Everything below the playback controls scrolls separately, so that these stay in view.
@@ -157,7 +160,7 @@ class LocalServer(viser.ViserServer):
                 upload_limit=upload_limit,
                 catch_up=lambda: self.catch_up(),
             ),
-            "process_response": self._add_security_headers,
+            "process_response": self._complete,
             "max_queue": _QUEUED_FRAMES,
             "max_size": MESSAGE_MAX,
             "backlog": BACKLOG,
@@ -182,7 +185,10 @@ class LocalServer(viser.ViserServer):
             await asyncio.sleep(0.01)
         refusal = self._access.refusal(request.headers)
         if refusal is not None:
-            return connection.respond(403, f"{refusal}\n")
+            return _refused(connection, request, refusal)
+        if (origin := page_origin(request.path)) is not None and "Upgrade" not in request.headers:
+            refusal = refusal_of(self._access, origin, request.headers)
+            return connection.respond(204, "") if refusal is None else _refused(connection, request, refusal)
         answer = None if self._tokens is None else self._check_token(self._tokens, connection, request)
         if answer is not None or "Upgrade" not in request.headers:
             return answer
@@ -191,7 +197,9 @@ class LocalServer(viser.ViserServer):
             return connection.respond(503, f"{_FULL}\n")
         return None
 
-    def _add_security_headers(self, _: ServerConnection, request: Request, response: Response) -> None:
+    def _complete(self, _: ServerConnection, request: Request, response: Response) -> None:
+        """Add the security headers to an answer, and the check of its address to the page."""
+        add_check(response)
         for name, value in self._access.security_headers.items():
             response.headers[name] = value
 
@@ -205,7 +213,9 @@ class LocalServer(viser.ViserServer):
         if cookie is None or "Upgrade" in request.headers:
             return None
         response = connection.respond(303, "")
-        response.headers["Location"] = "./" + tokens.without_token(request.path)
+        rest = tokens.without_token(request.path)
+        # Behind a proxy, only the browser knows the path; the page removes a lone "?" from its address.
+        response.headers["Location"] = (rest or "?") if self._access.proxies else f"./{rest}"
         response.headers["Set-Cookie"] = cookie
         return response
 
@@ -271,17 +281,24 @@ class LocalServer(viser.ViserServer):
 
     def _style(self) -> None:
         viser_private.run_script(self, viser_private.SENDER)
-        self.gui.add_html(f"<style>{_STYLE}</style>")
+        self.gui.add_html(f"<style>{_STYLE}{accessibility.STYLE}</style>")
         configure_theme(self.gui)
         scene = self.scene
-        scene.set_background_image(sky(256, 4), format="png")
+        style_scene(scene)
         scene.configure_environment_map(None)
         scene.configure_default_lights(False)
-        scene.add_light_hemisphere("/light/sky", sky_color=(214, 226, 255), ground_color=(54, 58, 72), intensity=1.9)
-        scene.add_light_directional("/light/sun", color=(255, 244, 226), intensity=2.2, position=(-4.0, 6.0, 10.0))
-        scene.configure_fog(14.0, 62.0, color=palette.FOG)
         scene.world_axes.visible = False
         self.initial_camera.near, self.initial_camera.far = 0.05, 500.0
+
+
+def _refused(connection: ServerConnection, request: Request, refusal: Refusal) -> Response:
+    """Return an answer that says why a request is refused: a page for a browser, a sentence for a program."""
+    is_page = "Upgrade" not in request.headers
+    response = connection.respond(403, refusal_page(refusal) if is_page else f"{refusal.reason}\n")
+    if is_page:
+        del response.headers["Content-Type"]
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+    return response
 
 
 def _outward_address() -> str:
@@ -337,10 +354,3 @@ def _busy(host: str, port: int, error: OSError | None = None) -> UserError:
     return UserError(
         f"Port {port} on {host} is not available ({reason}); choose another one with --port, 0 takes any free one."
     )
-
-
-def sky(height: int, width: int) -> np.ndarray:
-    """Return the background, a vertical gradient of shape [height, width, 3], uint8."""
-    mix = np.linspace(0.0, 1.0, height)[:, None, None]
-    rows = (1.0 - mix) * np.array(palette.SKY_TOP) + mix * np.array(palette.SKY_HORIZON)
-    return np.repeat(rows, width, axis=1).round().astype(np.uint8)

@@ -19,7 +19,7 @@ from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
 from aero_viz.dashboard import Dashboard, palette
 from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.camera import FIELD_OF_VIEW, VIEWS, Viewpoints, orientation
-from aero_viz.dashboard.server import sky
+from aero_viz.dashboard.scene_style import sky, style_scene
 from aero_viz.errors import UserError
 from aero_viz.extras import from_extra
 from aero_viz.session import Session
@@ -64,6 +64,7 @@ def snapshot(
     size: tuple[int, int] = (1280, 800),
     layers: Sequence[str] | None = None,
     legend: bool = False,
+    light: bool = False,
     seed: int = 0,
     device: str = "cpu",
 ) -> NDArray[np.uint8]:
@@ -78,6 +79,7 @@ def snapshot(
         size: width and height of the picture.
         layers: names of the layers to show, see `Dashboard.layers`; None shows those that are on by default.
         legend: explain the colours in a corner of the picture.
+        light: draw the scene on white, for paper.
         seed: seed of the planner's noise.
         device: Warp device of the planner.
 
@@ -101,10 +103,14 @@ def snapshot(
         dashboard = Dashboard(session, port=0, panels=False)
         stack.callback(dashboard.close)
         dashboard.show_only(layers)
+        style_scene(dashboard.server.scene, light=light)
         pose = _camera(session, camera)
         dashboard.eye = np.asarray(pose[0], dtype=np.float64)
         # Playwright needs a thread without an event loop; that of a notebook has one.
-        image = stack.enter_context(ThreadPoolExecutor(1)).submit(_render, dashboard, pose, size, legend).result()
+        with ThreadPoolExecutor(1) as outside:
+            image = outside.submit(_render, dashboard, pose, size, light=light).result()
+            if legend:
+                image = outside.submit(_with_legend, image, dashboard, light=light).result()
     if path is not None:
         _write(image, Path(path))
     return image
@@ -143,7 +149,7 @@ def _camera(session: Session, camera: str | tuple[ArrayLike, ArrayLike]) -> tupl
     return position, look_at
 
 
-def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], legend: bool) -> NDArray[np.uint8]:
+def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], *, light: bool) -> NDArray[np.uint8]:
     """Open the page and render its scene, without panels, for a camera position and look-at point."""
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": size[0], "height": size[1]})
@@ -164,22 +170,25 @@ def _render(dashboard: Dashboard, pose: tuple[Any, Any], size: tuple[int, int], 
             picture = client.get_render(size[1], size[0], **view)
         # The picture is transparent where nothing was drawn.
         cover = picture[..., 3:].astype(np.float32) / 255.0
-        picture = (cover * picture[..., :3] + (1.0 - cover) * sky(size[1], size[0])).round().astype(np.uint8)
-    return _with_legend(picture, dashboard) if legend else picture
+        below = sky(size[1], size[0], light=light)
+        picture = (cover * picture[..., :3] + (1.0 - cover) * below).round().astype(np.uint8)
+    return palette.turned_over(picture) if light else picture
 
 
-def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard) -> NDArray[np.uint8]:
+def _with_legend(picture: NDArray[np.uint8], dashboard: Dashboard, *, light: bool) -> NDArray[np.uint8]:
     """Return the picture with the legend of the visible layers in its lower left corner."""
     import imageio.v3 as iio
 
     url = base64.b64encode(iio.imwrite("<bytes>", picture, extension=".png")).decode()
     style = "position:fixed;left:16px;bottom:16px;width:270px;padding:10px;border-radius:8px;font-family:sans-serif;"
-    style += f"color:#dfe5ee;background:{palette.css((18, 23, 32), 0.82)}"
+    ink, ground = ((30, 34, 42), (255, 255, 255)) if light else ((223, 229, 238), (18, 23, 32))
+    style += f"color:{palette.css(ink)};background:{palette.css(ground, 0.82)}"
+    swatches = f"<style>.aero-scene{{filter:{palette.TURNED_OVER}}}</style>" if light else ""
     # A second browser, because on a busy machine Chromium may fail to capture a page while another one draws.
     with launch_chromium() as browser:
         page = browser.new_page(viewport={"width": picture.shape[1], "height": picture.shape[0]})
         page.set_content(
-            f'<body style="margin:0"><img src="data:image/png;base64,{url}" style="display:block">'
+            f'{swatches}<body style="margin:0"><img src="data:image/png;base64,{url}" style="display:block">'
             f'<div style="{style}">{markup.legend(dashboard.legend())}</div>'
         )
         return iio.imread(page.screenshot(timeout=60_000))[..., :3]

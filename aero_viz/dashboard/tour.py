@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from aero_viz.dashboard.dashboard import Dashboard
 from aero_viz.dashboard.layers import LAYERS
+from aero_viz.dashboard.outlook import Outlook, Sight, has_hit_ground
 from aero_viz.dashboard.viser_private import run_script
 from aero_viz.flight.known_drone import config_for_flight
 from aero_viz.session import Session
@@ -31,12 +32,9 @@ _READING = 0.5
 """Share of a scene's longest time after which every caption has been shown: most flights are shorter."""
 _SMOOTHING = 0.7
 """Time constant of the camera [s]."""
-_CLEARANCE = 0.2
-"""Smallest distance of the camera from a surface [m]."""
-_REACHES = (1.0, 0.8, 0.6, 0.45)
-"""Distances of the camera from the drone to try in turn, as a share of the full one."""
 _BASE = ("drone", "trail", "goal", "obstacles", "ground")
-_SHOTS = {"chase": (5.2, 24.0, 0.0, 25.0), "orbit": (7.0, 22.0, 14.0, 0.0), "top": (17.0, 75.0, 3.0, 0.0)}
+_SHOTS = {"chase": (5.2, 24.0, 0.0, 25.0), "orbit": (7.0, 22.0, 14.0, 0.0), "top": (17.0, 75.0, 3.0, 0.0),
+          "ground": (3.5, 8.0, 8.0, 0.0)}  # fmt: skip
 """Per shot: distance [m], elevation [deg], turn [deg/s], and amplitude of a slow sway [deg]."""
 
 _CAPTION = """
@@ -112,7 +110,7 @@ STOPS = (
         layers=("rollouts", "guides", "anchors"),
         count=400,
     ),
-    Stop("random_clutter", ("Indoors: boxes, poles and balls.", "The goal is the pink ball."), shot="orbit"),
+    Stop("random_clutter", ("Indoors: boxes, poles and balls.", "The goal is the pale ball in a ring."), shot="orbit"),
     Stop("pillars", ("A room with pillars, seen from above.",), shot="top", layers=("rollouts", "cloud"), seconds=8.0),
     Stop(
         "double_wall_trap",
@@ -128,7 +126,7 @@ STOPS = (
 
 
 class Director:
-    """Moves the camera smoothly around the drone, out of obstacles."""
+    """Moves the camera smoothly around the drone, to where no obstacle hides it."""
 
     def __init__(self) -> None:
         self.shot = "chase"
@@ -136,35 +134,37 @@ class Director:
         self._eye: Point | None = None
         self._target: Point | None = None
         self._last: Frame | None = None
+        self._is_on_ground = False
+        self._outlook = Outlook(Sight())
 
     def __call__(self, frame: Frame) -> tuple[Point, Point]:
         """Return the position of the camera and the point that it looks at [m], each of shape [3]."""
         position = frame.drone_position
-        eye, target = self._wanted(frame, position)
         is_cut = self._last is None or self._last.source is not frame.source or self._eye is None
+        shot = "ground" if has_hit_ground(frame) else self.shot
+        is_cut = is_cut or (shot == "ground") != self._is_on_ground  # time stands still after a flight
+        if is_cut:
+            self._outlook.reset()
+        self._is_on_ground = shot == "ground"
+        eye, target = self._wanted(frame, position, shot)
         step = 0.0 if is_cut or self._last is None else max(frame.time - self._last.time, 0.0)
         if not is_cut:
             assert self._eye is not None and self._target is not None
             share = 1.0 - np.exp(-step / _SMOOTHING)
             eye, target = self._eye + share * (eye - self._eye), self._target + share * (target - self._target)
         self._eye, self._target, self._last = eye, target, frame
-        return position + eye, position + target
+        return position + (eye if shot == "top" else self._outlook(frame, eye)), position + target
 
-    def _wanted(self, frame: Frame, position: Point) -> tuple[Point, Point]:
-        """Return the position of the camera and its target that the shot asks for, relative to the drone."""
-        distance, elevation, turn, sway = _SHOTS[self.shot]
+    def _wanted(self, frame: Frame, position: Point, shot: str) -> tuple[Point, Point]:
+        """Return the position of the camera and its target that a shot asks for, relative to the drone."""
+        distance, elevation, turn, sway = _SHOTS[shot]
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         heading = np.arctan2(*(goal - position)[1::-1])
         angle = heading + np.pi + np.radians(turn * frame.time + sway * np.sin(0.4 * frame.time))
         up = np.radians(elevation)
         direction = np.array([np.cos(up) * np.cos(angle), np.cos(up) * np.sin(angle), np.sin(up)])
         ahead = 1.2 * np.array([np.cos(heading), np.sin(heading), 0.0])
-        world = frame.world
-        eyes = [position + reach * distance * direction for reach in _REACHES]
-        if world is not None:
-            free = world.distance(np.array(eyes)) > _CLEARANCE
-            eyes = [eye for eye, is_free in zip(eyes, free, strict=True) if is_free] or eyes[-1:]
-        return eyes[0] - position, ahead
+        return distance * direction, ahead
 
 
 class Tour:

@@ -17,13 +17,13 @@ _FONT = 26
 _LINE = 36
 """Height of a line of text [pixels of the drawing]."""
 COLORS = {
-    "safe": "#fdc328",
+    "safe": "#39cc8e",
     "unsafe": "#ff5252",
     "chosen": "#92e476",
-    "braking": "#ecf0f6",
+    "braking": "#e8e2ea",
     "obstacle": "#4e5c72",
     "point": "#8692a4",
-    "text": "#d6deea",
+    "text": "#e8e2ea",
     "ground": "#141922",
 }
 """Colours of the map, which are those of the page and its scene."""

@@ -32,6 +32,11 @@ if TYPE_CHECKING:
 _CLOSE_TIMEOUT = 2.0  # [s] for the last messages
 _REQUEST_MAX = 1 << 16  # [bytes]
 _REPORTS_MAX = 8
+_HINTS = {
+    "Host": " If it is the name of a proxy or of this machine, add --host or --allow-host.",
+    "Origin": " If it is yours, add --foxglove-origin and its origin.",
+}
+"""What to do about a refused client, by the header that decided."""
 _SILENCE_MAX = 60.0  # [s] until a slow client answers
 _SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 _log = logging.getLogger(__name__)
@@ -131,11 +136,10 @@ class FoxgloveServer:
             if "Upgrade" not in request.headers or self._guests.admit(connection, has_right=False):
                 return None
             return connection.respond(503, "Too many clients.\n")
-        if refusal not in self._refusals and len(self._refusals) < _REPORTS_MAX:
-            self._refusals.add(refusal)
-            hint = " If it is yours, add --foxglove-origin and its origin." if "origin" in refusal else ""
-            _log.warning("--foxglove refused a client. %s%s", refusal, hint)
-        return connection.respond(403, f"{refusal}\n")
+        if refusal.reason not in self._refusals and len(self._refusals) < _REPORTS_MAX:
+            self._refusals.add(refusal.reason)
+            _log.warning("--foxglove refused a client. %s%s", refusal.reason, _HINTS.get(refusal.header, ""))
+        return connection.respond(403, f"{refusal.reason}\n")
 
     async def _serve(self, connection: ServerConnection) -> None:
         client = FoxgloveClient(connection, self._channels, self._session)

@@ -42,6 +42,25 @@ class Instances:
         """Rotation matrices, shape [n, 3, 3]."""
         return self.axes / np.linalg.norm(self.axes, axis=1, keepdims=True)
 
+    def below(self, height: float) -> Instances:
+        """Return the same copies without what is above a height [m].
+
+        Copies that stand are cut there. Others, and round ones, are removed if their middle is above it: they shrink to
+        a point.
+        """
+        low, high = self.shape.vertices[:, 2].min(), self.shape.vertices[:, 2].max()
+        upward, center = self.axes[:, 2, 2], self.positions[:, 2]
+        stands = np.abs(upward) > 0.5 * np.linalg.norm(self.axes[:, :, 2], axis=1)
+        stands &= self.shape is not SHAPES["spheres"]
+        at = np.clip((height - center) / np.where(stands, upward, 1.0), low, high)  # along the axis of the shape
+        begin, end = np.where(upward > 0.0, (np.full_like(at, low), at), (at, np.full_like(at, high)))
+        share = np.where(stands, (end - begin) / (high - low), center + 0.5 * (low + high) * upward <= height)
+        axes = self.axes.copy()
+        axes[:, :, 2] *= np.maximum(share, 1e-6)[:, None]
+        axes[share <= 0.0] *= 1e-6
+        offset = np.where(stands, begin - low * share, 0.0)
+        return Instances(self.shape, self.positions + offset[:, None] * self.axes[:, :, 2], axes)
+
     def merged(self, rows: NDArray[np.int64] | slice = slice(None)) -> Mesh:
         """Return one mesh of all copies, or of some."""
         vertices = np.einsum("nij,vj->nvi", self.axes[rows], self.shape.vertices) + self.positions[rows, None]

@@ -47,6 +47,23 @@ class SightLines:
         rows["triangles"] = [self._surface(*line) for line in lines]
         return {kind: np.unique(np.concatenate(found)) for kind, found in rows.items()}
 
+    def ceiling(self, eye: ArrayLike, target: ArrayLike) -> float | None:
+        """Return the lowest height of what lies flat above a target and hides it from an eye [m]; None without that.
+
+        Args:
+            eye: position of the eye [m], shape [3].
+            target: position to see [m], shape [3].
+        """
+        place = np.asarray(target, dtype=np.float64)
+        found = self.blocked_by(eye, place[None], np.array([0.05]))
+        boxes, triangles = self._tables["boxes"][found["boxes"]], self._triangles[found["triangles"]]
+        boxes = boxes[boxes[:, 3:5].min(axis=1) > 2.0 * boxes[:, 5]]
+        normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        flat = np.abs(normals[:, 2]) > 0.8 * np.linalg.norm(normals, axis=1)
+        heights = np.concatenate((boxes[:, 2] - 0.5 * boxes[:, 5], triangles[flat, :, 2].min(axis=1, initial=np.inf)))
+        heights = heights[heights > place[2]]
+        return float(heights.min()) if len(heights) else None
+
     def _solids(self, kind: str, eye: Array, target: Array, radius: float) -> NDArray[np.int64]:
         near = self._near(kind, eye, target, radius)
         if not len(near):

@@ -11,9 +11,9 @@ from aero_viz.planners import Plan
 Image = NDArray[np.uint8]
 
 
-def count(image: Image, color: palette.Rgb, *, tolerance: int = 24) -> int:
+def count(image: Image, color: ArrayLike, *, tolerance: int = 24) -> int:
     """Return the number of opaque pixels near `color` in a picture of shape [height, width, 3 or 4]."""
-    near = np.abs(image[..., :3].astype(int) - color).max(axis=-1) <= tolerance
+    near = np.abs(image[..., :3].astype(int) - np.asarray(color, dtype=int)).max(axis=-1) <= tolerance
     return int((near & (image[..., -1] > 128)).sum()) if image.shape[-1] == 4 else int(near.sum())
 
 

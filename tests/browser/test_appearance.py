@@ -1,6 +1,11 @@
-"""Light and dark panels, and the tabs that a browser remembers."""
+"""Light and dark pages, and the tabs that a browser remembers."""
 
+import imageio.v3 as iio
+import numpy as np
+
+from aero_viz.dashboard import palette
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
+from tests.browser.pictures import count
 
 TABS = ("Fly", "World", "Why", "Layers", "Tune")
 _FAINT = """
@@ -75,4 +80,25 @@ def test_every_text_can_be_read_in_both_themes_and_a_browser_remembers_theme_and
         use(desk, "light")
         assert scheme(other) == "dark"
         other.close()
+        assert desk.console == [] and desk.dashboard.failures == 0
+
+
+def test_the_light_page_has_a_scene_for_paper_whose_legend_shows_the_same_colours(browser):
+    with open_desk(browser, ticks=50, size=(1280, 800), layers=["rollouts", "guides", "trail", "ground"]) as desk:
+        desk.open_tab("Legend")
+        for theme, turn in (("light", palette.turned_over), ("dark", np.asarray)):
+            use(desk, theme)
+            chosen = turn(np.array(palette.CHOSEN))
+            desk.wait_for(lambda chosen=chosen: count(desk.screenshot(), chosen) > 200, f"the chosen rollout, {theme}")
+            picture = desk.settled_screenshot().astype(int)
+            background = np.median(picture[:60].reshape(-1, 3), axis=0)
+            assert background.min() > 245 if theme == "light" else background.max() < 40
+            for color in (palette.GUIDE, palette.DRONE):
+                assert count(picture, turn(np.array(color)), tolerance=40) > 100, theme
+            grid = np.abs(picture[-200:] - np.median(picture[-200:].reshape(-1, 3), axis=0)).max(axis=-1)
+            assert (grid > 20).sum() > 200, "lines on the ground"
+            swatch = desk.page.locator("span.aero-scene").first.bounding_box()
+            assert swatch is not None
+            shown = desk.page.screenshot(clip={"x": swatch["x"] + 3, "y": swatch["y"] + 3, "width": 2, "height": 2})
+            assert np.abs(iio.imread(shown)[..., :3].astype(int) - chosen).max() < 24, theme
         assert desk.console == [] and desk.dashboard.failures == 0

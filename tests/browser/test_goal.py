@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Locator
 
-from aero_viz.dashboard.panels.base import Hold
+from aero_viz.dashboard.panels.base import ARROWS, Hold
 from tests.browser.desk import Desk, open_desk, quick_forest
+
+ARROW = ARROWS["scale"]
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +32,7 @@ def near(desk):
     desk.page.mouse.move(600.0, 650.0)  # an arrow under the mouse would be yellow
     desk.page.wait_for_timeout(1200 * Hold.SECONDS)  # after a drag, the arrows stay where they were dropped
     desk.settled_screenshot()
-    tip = desk.place_on_page(np.add(goal_of(desk), (0.0, 0.0, 1.8)))
-    desk.wait_for(lambda: abs(arrow_tip(desk) - tip[1]) < 25, "the arrows")
+    desk.wait_for(lambda: abs(arrow_tip(desk) - tip(desk)[1]) < 25, "the arrows")
     return desk
 
 
@@ -51,10 +52,30 @@ def arrow_tip(desk: Desk) -> int:
     return int(blue.any(axis=1).argmax())
 
 
+def tip(desk: Desk) -> tuple[float, float]:
+    """Place on the page near the tip of the arrow that points upward, whatever the distance of the goal."""
+    x, y = desk.place_on_page(goal_of(desk))
+    return x, y - 0.85 * ARROW
+
+
+@pytest.mark.parametrize("distance", [6.0, 40.0])
+@pytest.mark.parametrize("beside", [-11.0, 11.0])
+def test_the_handle_of_a_goal_is_24_pixels_wide_at_any_distance(near, distance, beside):
+    x = coordinates(near)[0]
+    near.enter(x, f"{distance:g}")
+    near.wait_for(lambda: goal_of(near)[0] == distance, "the goal")
+    near.page.wait_for_timeout(1200 * Hold.SECONDS)
+    near.wait_for(lambda: abs(arrow_tip(near) - tip(near)[1]) < 25, "the arrows")
+    before, (column, row) = goal_of(near), tip(near)
+    near.drag((column + beside, row + 0.1 * ARROW), (0.0, -16.0))
+    near.wait_for(lambda: goal_of(near)[2] > before[2] + 0.1, "a higher goal")
+    near.settled(lambda: goal_of(near), "the end of the drag")
+    np.testing.assert_allclose(goal_of(near)[:2], before[:2], atol=1e-3)
+
+
 def test_dragging_an_arrow_moves_the_goal_along_it_and_changes_the_plan(near):
     before, plan = goal_of(near), near.session.frame.plan
-    tip = near.place_on_page(np.add(before, (0.0, 0.0, 1.8)))
-    near.drag(tip, (0.0, -60.0))
+    near.drag(tip(near), (0.0, -60.0))
     near.wait_for(lambda: goal_of(near)[2] > before[2] + 0.5, "a higher goal")
     after = goal_of(near)
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-3)
@@ -66,16 +87,14 @@ def test_dragging_an_arrow_moves_the_goal_along_it_and_changes_the_plan(near):
 
 def test_a_goal_dragged_into_the_ground_is_refused_and_the_arrows_return(near):
     before = goal_of(near)
-    tip = near.place_on_page(np.add(before, (0.0, 0.0, 1.8)))
-    near.drag(tip, (0.0, 300.0))
+    near.drag(tip(near), (0.0, 300.0))
     refusal = near.refusal("below the ground")
     refusal.wait_for()
     near.dismiss(refusal)
     after = goal_of(near)
     assert 0.0 <= after[2] < before[2], "the last free position of the drag"
     near.page.mouse.move(600.0, 650.0)  # an arrow under the mouse would be yellow
-    tip = near.place_on_page(np.add(after, (0.0, 0.0, 1.8)))
-    near.wait_for(lambda: abs(arrow_tip(near) - tip[1]) < 25, "the arrows to return to the previous goal")
+    near.wait_for(lambda: abs(arrow_tip(near) - tip(near)[1]) < 25, "the arrows to return to the previous goal")
     index = near.session.frame.index
     near.click("+1")
     near.wait_for(lambda: near.session.frame.index == index + 1, "the next tick")

@@ -49,7 +49,7 @@ SWITCHED = [
     ("occluded_space", None, 1000),
     ("coarse_cells", None, 5000),
     ("drone", None, 150),
-    ("trail", palette.TRAIL, 100),
+    ("trail", palette.DRONE, 100),
     ("goal", None, 30),
     ("obstacles", None, 20_000),
     ("ground", None, 1000),

@@ -41,7 +41,7 @@ def selected_obstacle(desk: Desk) -> object:
 
 
 def magenta(desk: Desk) -> int:
-    return count(desk.screenshot(), palette.SELECTED, tolerance=40)
+    return count(desk.screenshot(), palette.SELECTED, tolerance=16)
 
 
 def test_a_click_is_for_the_tab_that_is_open(desk):

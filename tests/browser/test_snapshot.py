@@ -16,11 +16,12 @@ from aero_viz.dashboard.snapshot import snapshot
 from aero_viz.errors import UserError
 from aero_viz.flight import FlightSource
 from aero_viz.scenes import scene
+from tests.browser.pictures import count
 
 # Written by running this file.
 REFERENCE = Path(__file__).with_name("snapshot_reference.json")
 ARGUMENTS: dict[str, Any] = {"time": 1.0, "config": PlannerConfig.preset("paper"), "size": (640, 400)}
-COLORS = {name: getattr(palette, name) for name in ("GUIDE", "ANCHOR", "TRAIL")}
+COLORS = {name: getattr(palette, name) for name in ("GUIDE", "ANCHOR", "DRONE")}
 
 
 def structure(image: np.ndarray) -> dict[str, int]:
@@ -50,6 +51,18 @@ def test_a_picture_from_the_command_line_has_the_layers_the_camera_and_the_legen
     corner = image[330:390, 20:280]
     assert structure(image[:300])["GUIDE"] > 100 and structure(image)["ANCHOR"] == 0
     assert structure(corner)["GUIDE"] > 10 and (corner.max(axis=-1) < 60).mean() > 0.5
+
+
+def test_a_light_picture_is_for_paper(browser, tmp_path):
+    del browser
+    path = tmp_path / "a.png"
+    layers = ["--layers", "rollouts,guides,trail,ground", "--legend", "--light"]
+    main(["snapshot", "forest", str(path), "--time", "0.6", *layers, "--size", "640", "400"])
+    image = iio.imread(path)
+    assert np.median(image[:40]) > 250 and np.median(image[350:380, 40:200]) > 235
+    for color in (palette.CHOSEN, palette.GUIDE, palette.DRONE):
+        assert count(image, palette.turned_over([color])[0], tolerance=40) > 60
+    assert count(image, palette.CHOSEN) == 0
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full needs Linux")

@@ -41,7 +41,7 @@ def selected(desk) -> int | None:
 
 
 def magenta(desk) -> int:
-    return count(desk.screenshot(), palette.SELECTED, tolerance=40)
+    return count(desk.screenshot(), palette.SELECTED, tolerance=16)
 
 
 def test_nothing_is_computed_until_it_is_asked_for(desk):

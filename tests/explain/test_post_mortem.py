@@ -85,13 +85,13 @@ def test_the_picture_shows_the_candidates_and_the_end(trap):
 
 def test_the_picture_has_the_colours_of_the_page_and_a_text_that_a_panel_shows_large_enough(trap):
     of_page = {
-        "safe": palette.as_rgb(palette.COST[-1:])[0],
+        "safe": palette.GOOD,
         "unsafe": palette.BAD,
         "chosen": palette.CHOSEN,
         "braking": palette.DRONE,
         "obstacle": palette.OBSTACLE,
         "point": palette.MUTED,
-        "text": palette.TRAIL,
+        "text": palette.DRONE,
         "ground": palette.PANEL[7],
     }
     assert {name: "#" + bytes(color).hex() for name, color in of_page.items()} == COLORS

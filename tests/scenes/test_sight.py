@@ -1,6 +1,7 @@
 """Obstacles that block a line of sight."""
 
 import numpy as np
+import pytest
 
 from aero_viz.scenes import SightLines, World, scene
 
@@ -56,3 +57,15 @@ def test_every_line_through_a_dense_scene_agrees_with_distances_along_it():
         line = eye + np.linspace(0.0, 1.0, 500)[:, None] * (target - eye)
         is_blocked = bool((world.distance(line) < 0.0).any())
         assert is_blocked <= (len(found) > 0)
+
+
+def test_a_ceiling_hides_the_drone_from_above_only_and_a_wall_is_none():
+    drone, above, beside = np.array([0.0, 0.0, 1.0]), np.array([-3.0, 0.0, 8.0]), np.array([-3.0, 0.0, 1.5])
+    ceiling, wall = [0.0, 0.0, 3.0, 20.0, 20.0, 0.2, 0.0], [-1.5, 0.0, 3.0, 0.2, 20.0, 8.0, 0.0]
+    quad = np.array([[-9.0, -9.0, 4.0], [9.0, -9.0, 4.0], [0.0, 20.0, 4.0]])
+    room = SightLines(World("room", np.zeros(3), np.ones(3), boxes=np.array([ceiling, wall])))
+    assert room.ceiling(above, drone) == pytest.approx(2.9)
+    assert room.ceiling(beside, drone) is None
+    mesh = SightLines(World("mesh", np.zeros(3), np.ones(3), triangles=quad.reshape(1, 9)))
+    assert mesh.ceiling(above, drone) == pytest.approx(4.0)
+    assert mesh.ceiling(beside, drone) is None and mesh.ceiling(drone, above) is None

@@ -22,6 +22,9 @@ from aero_viz.session.source import SourceInfo
 
 _DRONE_MARGIN, _PATH_MARGIN = 0.6, 0.15
 """Obstacles nearer than this to the line of sight to the drone, or to its plan, are drawn faint [m]."""
+_STEEP = float(np.tan(np.radians(55.0)))
+_HEADROOM, _HEADROOM_STEP = 0.4, 0.5
+"""Least height above the drone up to which obstacles are drawn for whoever looks from above, and its steps [m]."""
 Change = tuple[Any, str, Any]
 """Handle, property, new value. All changes of an update are computed first and then assigned together."""
 
@@ -264,6 +267,19 @@ def relative_to_drone(positions: ArrayLike, frame: Frame) -> NDArray[np.float32]
 def polylines(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the segments of polylines, shape [..., n, 3] -> [m, 2, 3]."""
     return np.stack((vertices[..., :-1, :], vertices[..., 1:, :]), axis=-2).reshape(-1, 2, 3)
+
+
+def headroom(eyes: Iterable[NDArray[np.float64]], frame: Frame) -> float | None:
+    """Return the height above which nothing may hide the drone from an eye that looks from above [m]; None without one.
+
+    It changes in steps, so that what is drawn below it rarely changes.
+    """
+    drone = frame.drone_position
+    for eye in eyes:
+        offset = eye - drone
+        if offset[2] > _STEEP * np.hypot(*offset[:2]):
+            return float(np.ceil((drone[2] + _HEADROOM) / _HEADROOM_STEP) * _HEADROOM_STEP)
+    return None
 
 
 def view_targets(frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -20,7 +20,7 @@ _BORDER = palette.unmapped(palette.GRID_SECTION)
 _ANCHOR = palette.unmapped(palette.ANCHOR)
 _UNSEEN = palette.unmapped(palette.UNSEEN)
 _CONTINUED = palette.unmapped(palette.CONTINUED)
-_FREE = palette.unmapped(palette.VIRIDIS)
+_FREE = palette.unmapped(palette.NEAR_TO_FAR)
 _RANGE = palette.lit(palette.NEAR_TO_FAR)
 _CONTINUED_LIT = palette.lit(palette.CONTINUED)
 _SPHERE = 2.0
@@ -67,7 +67,7 @@ class CellPatches:
 
 
 class FineCellLayer(Layer):
-    """A patch at the range of every occupied fine cell. Measured ones are coloured by range; red is near.
+    """A patch at the range of every occupied fine cell. Measured ones are coloured by range; yellow is near.
 
     Continued ones have a colour of their own: a surface goes on there past the field of view, as the plan assumes.
     """
@@ -77,7 +77,7 @@ class FineCellLayer(Layer):
     keys = (ColorKey("occupied, continued: not measured", palette.CONTINUED),)
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._patches = CellPatches(scene, "/fine_cells", opacity=0.85)
+        self._patches = CellPatches(scene, "/fine_cells", opacity=0.4)
 
     def update(self, frame: Frame) -> list[Change]:
         ranges, reach = full_plan(frame).fine_range.reshape(-1, 1), frame.config.farthest_range
@@ -103,7 +103,7 @@ class UnseenCellLayer(Layer):
     needs = "cells"
 
     def create(self, scene: viser.SceneApi) -> None:
-        self._patches = CellPatches(scene, "/unseen_cells", opacity=0.5)
+        self._patches = CellPatches(scene, "/unseen_cells", opacity=0.25)
 
     def update(self, frame: Frame) -> list[Change]:
         unseen = is_unseen(frame)
@@ -151,7 +151,7 @@ class CoarseCellLayer(Layer):
     def legend(self, frame: Frame) -> list[ColorKey | ColorScale]:
         reach = f"{frame.config.farthest_range:g} m"
         return [
-            ColorScale("safe directions: mean range of the cell", "0 m", reach, palette.VIRIDIS),
+            ColorScale("safe directions: mean range of the cell", "0 m", reach, palette.NEAR_TO_FAR),
             ColorKey("cells of anchors", palette.ANCHOR),
             ColorKey("coarse cells", palette.GRID_SECTION),
         ]

@@ -13,7 +13,7 @@ from aero_viz.session.frame import Frame
 
 _TRAIL_SEGMENTS = 512
 _GHOST = palette.unmapped(palette.GHOST)
-_TRAIL = palette.unmapped(palette.TRAIL)
+_TRAIL = palette.unmapped(palette.DRONE)
 
 
 class DroneLayer(Layer):
@@ -92,7 +92,7 @@ class TrailLayer(Layer):
     """Path flown so far, thinned to 512 segments."""
 
     name, title = "trail", "Flown trail"
-    keys = (ColorKey("flown trail", palette.TRAIL),)
+    keys = (ColorKey("flown trail", palette.DRONE),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self._lines = Lines(scene, "/trail/line", thickness=3.0, capacity=_TRAIL_SEGMENTS)

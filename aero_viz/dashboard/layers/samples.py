@@ -21,7 +21,7 @@ from aero_viz.dashboard.layers.base import (
 from aero_viz.session.frame import Frame
 
 _CHOSEN = "the chosen one"
-_COLORS = palette.unmapped(palette.VIRIDIS)
+_COLORS = palette.unmapped(palette.COST)
 
 
 class SampleLayer(Layer):
@@ -43,12 +43,12 @@ class SampleLayer(Layer):
         instance = int(plan.best) if chosen == _CHOSEN else min(int(chosen.split()[0]), len(plan.samples) - 1)
         rollouts = relative_to_drone(plan.samples[instance], frame)
         rank = np.argsort(np.argsort(plan.stage1_cost[instance]))
-        colors = palette.colorize(-rank, -1.25 * len(rank), 0.0, _COLORS)
+        colors = palette.colorize(-rank, -len(rank), 0.0, _COLORS)
         colors = np.repeat(colors, rollouts.shape[1] - 1, axis=0)[:, None, :]
         return [(self._drone, "position", frame.drone_position), *self._lines.show(polylines(rollouts), colors)]
 
     def legend(self, frame: Frame) -> list[ColorScale]:
-        return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.VIRIDIS[51:])]
+        return [ColorScale("samples: rank of the Stage I cost", "worst", "best", palette.COST)]
 
 
 def _instances(config: DroneConfig) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import viser.transforms
 from numpy.typing import NDArray
 
 from aero_viz.dashboard import palette
-from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, polylines, view_targets
+from aero_viz.dashboard.layers.base import Change, ColorKey, Layer, Lines, apply, headroom, polylines, view_targets
 from aero_viz.scenes import Instances, Mesh, SightLines, World, world_instances, world_meshes
 from aero_viz.scenes.mesh import SHAPES, joined_mesh
 from aero_viz.scenes.obstacles import KINDS, ObstacleId, ObstacleKey, added_rows, find_obstacle
@@ -23,13 +23,12 @@ _NO_FACES = np.zeros((3, 3), np.float32), np.array([[0, 1, 2]], np.uint32)
 _NO_MESH = Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
 _NO_ROWS = np.zeros(0, np.int64)
 _MOST_PATH_SEGMENTS = 2048
-_RECORDED_PLAN = palette.unmapped(palette.RECORDED_PLAN)
 _RECORDED = palette.unmapped(palette.RECORDED)
 
 
 class ObstacleLayer(Layer):
     """Obstacles of a synthetic world. The planner does not know them. Those that hide the drone are faint, unless they
-    move or were added during the flight."""
+    move or were added during the flight. Whoever looks from above sees them cut above the drone."""
 
     name, title = "obstacles", "Obstacles (ground truth)"
     keys = (ColorKey("obstacles", palette.OBSTACLE),)
@@ -38,6 +37,7 @@ class ObstacleLayer(Layer):
         self.selected: ObstacleId | None = None
         """Selected obstacle, which has the colour of a selection and is never faint."""
         self._world: World | None = None
+        self._top: float | None = None
         self._sight: SightLines | None = None
         self._instances: dict[str, Instances] = {}
         self._surface = _NO_MESH
@@ -72,21 +72,31 @@ class ObstacleLayer(Layer):
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self.available = source.world is not None
-        return self._show(source.world, source.world)
+        return self._show(source.world, source.world, None)
 
-    def _show(self, world: World | None, moving: World | None) -> list[Change]:
-        """Return the changes that show the obstacles of a world; `moving` is that world with their motion."""
-        self._world = world
+    def _show(self, world: World | None, moving: World | None, top: float | None) -> list[Change]:
+        """Return the changes that show the obstacles of a world.
+
+        Args:
+            world: the obstacles, where they are.
+            moving: the same with their motion.
+            top: height at which they are cut [m].
+        """
+        self._world, self._top = world, top
         self._faded, self._marked = {}, {}
         self._drawn_rows = {} if world is None else {kind: _drawn_rows(world, kind) for kind in KINDS.values()}
         self._solid = {} if moving is None else {kind: self._never_faint(moving, kind) for kind in KINDS.values()}
         self._sight = None if world is None else SightLines(world)
         self._instances = {} if world is None else world_instances(world)
         self._surface = _NO_MESH if world is None else world_meshes(world).get("triangles", _NO_MESH)
+        if top is not None:
+            self._instances = {kind: instances.below(top) for kind, instances in self._instances.items()}
+            lowest = self._surface.vertices[self._surface.faces, 2].min(axis=1)
+            self._surface = Mesh(self._surface.vertices, np.where(lowest[:, None] > top, 0, self._surface.faces))
         changes: list[Change] = [
             (self.faint, "visible", False),
             (self.marked, "visible", False),
-            (self.triangles, "visible", len(self._surface.faces) > 0),
+            (self.triangles, "visible", bool(self._surface.faces.any())),
             (self.triangles, "vertices", self._surface.vertices),
             (self.triangles, "faces", self._surface.faces.astype(np.uint32)),
         ]
@@ -102,8 +112,11 @@ class ObstacleLayer(Layer):
         return changes
 
     def update(self, frame: Frame) -> list[Change]:
-        """Replace the obstacles between a camera and the drone, or its plan, by faint ones."""
-        changes = [] if frame.world is self._world else self._show(frame.world, frame.moving_world)
+        """Replace the obstacles between a camera and the drone, or its plan, by faint ones, and cut what is above."""
+        top = headroom(self.eyes, frame)
+        changes: list[Change] = []
+        if frame.world is not self._world or top != self._top:
+            changes = self._show(frame.world, frame.moving_world, top)
         return [*changes, *self._fade(frame)]
 
     def _fade(self, frame: Frame) -> list[Change]:
@@ -249,7 +262,7 @@ class RecordedPlanLayer(Layer):
     """Chosen rollout of the plan that was flown, from a flight log."""
 
     name, title = "recorded_plan", "Recorded plan"
-    keys = (ColorKey("recorded plan", palette.RECORDED_PLAN),)
+    keys = (ColorKey("recorded plan", palette.RECORDED),)
 
     def create(self, scene: viser.SceneApi) -> None:
         self.available = False
@@ -257,9 +270,9 @@ class RecordedPlanLayer(Layer):
 
     def on_new_source(self, source: SourceInfo) -> list[Change]:
         self.available = source.recorded_plan is not None
-        return self._lines.show(np.zeros((0, 2, 3)), _RECORDED_PLAN)
+        return self._lines.show(np.zeros((0, 2, 3)), _RECORDED)
 
     def update(self, frame: Frame) -> list[Change]:
         recorded = frame.recorded_plan
         path = np.zeros((0, 3), np.float32) if recorded is None else recorded.path
-        return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED_PLAN)
+        return self._lines.show(polylines(path) if len(path) else np.zeros((0, 2, 3)), _RECORDED)

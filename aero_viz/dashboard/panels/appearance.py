@@ -1,4 +1,4 @@
-"""Light or dark panels, and the open tabs: each browser remembers its own."""
+"""Light or dark panels and scene, and the open tabs: each browser remembers its own."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Mapping
 import viser
 
 from aero_viz.dashboard.panels.base import Panel
+from aero_viz.dashboard.scene_style import style_scene
 from aero_viz.dashboard.server import configure_theme
 from aero_viz.dashboard.viser_private import run_script
 
@@ -41,7 +42,7 @@ if (!window.aeroTabs) {
 
 
 class AppearancePanel(Panel):
-    """Switches the panels of a visitor between light and dark. The scene is dark in both."""
+    """Switches the panels and the scene of a visitor between light and dark."""
 
     def create(self, gui: viser.GuiApi) -> None:
         self._light: set[int] = set()
@@ -57,7 +58,7 @@ class AppearancePanel(Panel):
                 self._use(client, light=True)
 
     def toggle(self, client: viser.ClientHandle) -> None:
-        """Switch a visitor's panels between light and dark, and let the browser remember it."""
+        """Switch a visitor's page between light and dark, and let the browser remember it."""
         light = client.client_id not in self._light
         self._use(client, light=light)
         client.local_storage.set_item(_THEME, "light" if light else "dark")
@@ -65,6 +66,7 @@ class AppearancePanel(Panel):
     def _use(self, client: viser.ClientHandle, *, light: bool) -> None:
         (self._light.add if light else self._light.discard)(client.client_id)
         configure_theme(client.gui, light=light)
+        style_scene(client.scene, light=light)
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         self._light &= set(clients)

@@ -27,6 +27,12 @@ TYPING_DELAY = 0.2
 """Time after which a value that was typed just before a click has arrived [s]: the page sends it with a delay."""
 
 
+ARROWS: dict[str, Any] = {
+    "scale": 80.0, "line_width": 5.5, "fixed": True, "disable_rotations": True, "depth_test": False, "visible": False,
+}  # fmt: skip
+"""Arrows that move something in the scene: 80 pixels long and 24 wide for the mouse at any distance."""
+
+
 class Hold:
     """Keeps a value that a user has just changed from being overwritten with the session's previous one."""
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import viser
@@ -12,8 +13,8 @@ import viser.transforms
 from numpy.typing import NDArray
 
 from aero_viz.dashboard.layers import Change
+from aero_viz.dashboard.outlook import Outlook, Sight, has_hit_ground
 from aero_viz.dashboard.panels.base import Panel
-from aero_viz.scenes import SightLines, World
 from aero_viz.session.frame import Frame
 from aero_viz.session.source import SourceInfo
 
@@ -24,10 +25,16 @@ MODES = (*VIEWS, "free")
 MODE_CLASS = "aero-camera-"
 """Class of the element before the buttons, followed by the number of the active one, from 1."""
 _HINT = (
-    "follow, top and side move with the drone and keep the distance and direction that you choose with the mouse; free "
-    "stays where it is. Every mode allows orbiting (left button), panning (right button) and zooming (wheel)."
+    "follow, top and side move with the drone and keep the distance and direction that you choose with the mouse; "
+    "follow looks past obstacles, top cuts what is above the drone, free stays where it is. Every mode allows orbiting "
+    "(left button), panning (right button) and zooming (wheel)."
 )
-_OFFSETS = {"follow": (-5.2, 0.0, 2.3), "top": (-0.01, 0.0, 24.0), "side": (1.5, -9.0, 1.0)}
+_OFFSETS = {
+    "follow": (-5.2, 0.0, 2.3),
+    "top": (-0.01, 0.0, 24.0),
+    "side": (1.5, -9.0, 1.0),
+    "ground": (-0.8, -3.4, 0.6),
+}
 """Position of the camera relative to the drone [m], per view; +x points to the goal."""
 _TARGET_DISTANCE = 1.6
 """Distance from the drone to the point that the camera looks at, toward the goal [m]."""
@@ -65,30 +72,37 @@ class Viewpoints:
     """First views of the named cameras, clear of the obstacles of a world."""
 
     def __init__(self) -> None:
-        self._world: World | None = None
-        self._sight: SightLines | None = None
+        self.sight = Sight()
+        """What is between a camera and the drone."""
+        self._outlook, self._source = Outlook(self.sight), None
 
     def find(self, name: str, frame: Frame) -> tuple[Point, Point]:
         """Return the camera position and look-at point of a named view of `frame`, see `view`.
 
-        "top" is as high as the cloud is wide, at most 24 m. The other cameras come closer to the drone where they
-        would be inside an obstacle or behind a wall.
+        "top" is as high as the cloud is wide, at most 24 m. "follow" looks from where no obstacle hides the drone, and
+        from the side when it has hit the ground. "side" comes closer to the drone where it would be inside an obstacle
+        or behind a wall.
         """
         position = frame.drone_position
         goal = np.asarray(frame.observation.goal.position, dtype=np.float64)
         if name == "top":
             return view(name, position, goal, reach=_width(frame) / _OFFSETS[name][2])
+        name = "ground" if name == "follow" and has_hit_ground(frame) else name
+        if name != "side":
+            eye, target = view(name, position, goal)
+            if frame.source is not self._source or name == "ground":
+                self._source = frame.source
+                self._outlook.reset()
+            return position + self._outlook(frame, eye - position), target
         views = [view(name, position, goal, reach=reach) for reach in _REACHES]
-        return next((found for found in views if self._is_clear(frame.world, found[0], position)), views[0])
+        return next((found for found in views if self._is_clear(frame, found[0])), views[0])
 
-    def _is_clear(self, world: World | None, eye: Point, drone: Point) -> bool:
-        if world is None:
+    def _is_clear(self, frame: Frame, eye: Point) -> bool:
+        if frame.world is None:
             return True
-        if self._sight is None or world is not self._world:
-            self._world, self._sight = world, SightLines(world)
-        blocking = self._sight.blocked_by(eye, drone[None], np.array([0.1]))
+        blocking = self.sight.found(frame, eye, frame.drone_position)
         is_walled = len(blocking["boxes"]) + len(blocking["triangles"]) > 0
-        return not is_walled and float(world.distance(eye[None])[0]) > _CLEARANCE
+        return not is_walled and float(frame.world.distance(eye[None])[0]) > _CLEARANCE
 
 
 def _width(frame: Frame) -> float:
@@ -114,11 +128,33 @@ class CameraPlace:
     """Point that it was last moved to look at [m]."""
 
 
+@dataclass(eq=False)
+class _Follower:
+    """A camera that follows the drone, as its visitor wants it; offsets are from the drone [m], shape [3]."""
+
+    outlook: Outlook
+    wanted: Point | None = None
+    given: deque[Point] = field(default_factory=lambda: deque(maxlen=90))
+    """Offsets that the camera was given, newest last: what the page tells may be a second old."""
+
+    def place(self, frame: Frame, offset: Point) -> Point:
+        """Return where the camera goes from where it is. Whatever it was not given is what its visitor wants."""
+        scale = 0.02 * float(np.linalg.norm(offset)) + 0.02
+        if self.wanted is None or not any(np.linalg.norm(offset - known) < scale for known in self.given):
+            self.wanted = offset
+            self.given.clear()
+            self.outlook.take(frame)
+        goes = self.outlook(frame, self.wanted)
+        self.given.append(goes)
+        return goes
+
+
 class CameraPanel(Panel):
     """Buttons for the camera mode, separate for each visitor.
 
     "follow", "top" and "side" keep the distance and direction that the visitor has chosen with the mouse; "free" leaves
-    the camera alone. Another source moves every camera to its first view.
+    the camera alone. "follow" turns around an obstacle that would hide the drone for a while. Another source moves
+    every camera to its first view, and a drone that hits the ground is seen from the side.
     """
 
     def create(self, gui: viser.GuiApi) -> None:
@@ -129,6 +165,8 @@ class CameraPanel(Panel):
         self._marks: dict[int, viser.GuiHtmlHandle] = {}
         self._order = gui.add_html("", visible=False).order
         self._settled: dict[int, float] = {}
+        self._followers: dict[int, _Follower] = {}
+        self._is_on_ground = False
         self._targets: dict[int, Point] = {}
         """Point that each camera was last moved to look at [m]."""
         self.page.server.initial_camera.fov = FIELD_OF_VIEW
@@ -190,6 +228,11 @@ class CameraPanel(Panel):
         _, target = view("follow", position, np.asarray(frame.observation.goal.position, dtype=np.float64))
         changes: list[Change] = []
         clients = self.page.server.get_clients()
+        if has_hit_ground(frame) != self._is_on_ground:
+            self._is_on_ground = not self._is_on_ground
+            for number in clients:
+                if self._mode(number) == "follow":
+                    self._settled.pop(number, None)
         if not self._settled:
             # The first view of pages that are opened from now on.
             start, look_at = self._views.find("follow", frame)
@@ -202,11 +245,18 @@ class CameraPanel(Panel):
             if time.monotonic() < self._settled.setdefault(number, time.monotonic() + _SETTLE_TIME):
                 eye, look_at = self._views.find(mode if mode in VIEWS else "follow", frame)
                 changes += [(camera, "position", eye), (camera, "look_at", look_at)]
+                self._followers.pop(number, None)
             elif mode != "free" and not np.array_equal(target, self._targets.get(number, target + 1.0)):
                 # Moving a camera also moves the point that it looks at. While the drone is at rest, the camera is left
                 # alone: its position may be older than what the visitor's mouse does now.
                 eye = target + eye - camera.look_at
                 changes.append((camera, "position", eye))
+                if mode == "follow" and frame.world is not None:
+                    known = self._followers.setdefault(number, _Follower(Outlook(self._views.sight)))
+                    free = position + known.place(frame, eye - position)
+                    if not np.allclose(free, eye, atol=1e-3):
+                        eye = free
+                        changes += [(camera, "position", eye), (camera, "look_at", target)]
             self._targets[number] = target
             self.eyes.append(eye)
         return changes
@@ -219,7 +269,7 @@ class CameraPanel(Panel):
         return self._modes.get(number, MODES[0])
 
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
-        for table in (self._modes, self._marks, self._settled, self._targets):
+        for table in (self._modes, self._marks, self._settled, self._targets, self._followers):
             for number in set(table) - set(clients):
                 table.pop(number, None)
 

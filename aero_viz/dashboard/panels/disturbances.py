@@ -9,7 +9,7 @@ import viser
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Hold, Page, Panel
+from aero_viz.dashboard.panels.base import ARROWS, Hold, Page, Panel
 from aero_viz.dashboard.panels.controls import SliderControl
 from aero_viz.flight.conditions import LIVE
 from aero_viz.flight.source import LATENCY_MAX
@@ -46,9 +46,7 @@ class DisturbancePanel(Panel):
         hint = "Show arrows that move the drone. They appear while the session is paused."
         self._drag = gui.add_checkbox("Drag the drone", False, hint=hint)
         self._sliders = [SliderControl(gui, info, float(info.default), end=_ENDS[info.path]) for info in LIVE]
-        self._arrows = self.page.server.scene.add_transform_controls(
-            "/drone_arrows", scale=1.5, disable_rotations=True, depth_test=False, visible=False
-        )
+        self._arrows = self.page.server.scene.add_transform_controls("/drone_arrows", **ARROWS)
         self._waiting: dict[str, Any] = {}
         self._lock = threading.Lock()
         self._changes = Mailbox(self._change, name="aero-viz-conditions")

@@ -7,7 +7,7 @@ import viser
 
 from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
-from aero_viz.dashboard.panels.base import Hold, Page, Panel
+from aero_viz.dashboard.panels.base import ARROWS, Hold, Page, Panel
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
 
@@ -24,9 +24,7 @@ class GoalPanel(Panel):
         self._position = gui.add_vector3("Goal [m]", (0.0, 0.0, 0.0), step=0.5, hint="x, y, z in the world frame [m].")
         self._position.precision = 3
         self._drag = gui.add_checkbox("Drag the goal", False, hint="Show arrows at the goal that move it.")
-        self._arrows = self.page.server.scene.add_transform_controls(
-            "/goal_arrows", scale=2.0, disable_rotations=True, depth_test=False, visible=False
-        )
+        self._arrows = self.page.server.scene.add_transform_controls("/goal_arrows", **ARROWS)
         self._moves = Mailbox(self._set_goal, name="aero-viz-goal")
 
         @self._position.on_update

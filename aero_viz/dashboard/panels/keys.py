@@ -49,7 +49,7 @@ KEYS: tuple[Key, ...] = (
     Key("remove", "Remove the selected obstacle", "delete"),
     *(Key("camera", f"Camera: {mode}", f"{i}", own=True, argument=mode) for i, mode in enumerate(MODES, 1)),
     *(Key("layer", f"Layer: {name.replace('_', ' ')}", key, own=True, argument=name) for key, name in _LAYERS.items()),
-    Key("theme", "Light or dark panels", "L", own=True),
+    Key("theme", "Light or dark page", "L", own=True),
     Key("help", "Show or hide the keys", "?", "shift", own=True),
     Key("close", "Hide the keys", "escape", own=True),
 )

@@ -17,6 +17,7 @@ from aero_viz.dashboard.panels.configuration import Baseline, ConfigurationPanel
 from aero_viz.dashboard.panels.curves import CurvePanel
 from aero_viz.dashboard.panels.disturbances import DisturbancePanel
 from aero_viz.dashboard.panels.drone_tuning import DroneTuningPanel
+from aero_viz.dashboard.panels.finder import FinderPanel
 from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.health import HealthPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
@@ -211,10 +212,10 @@ def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
     panels.append(open_tabs := OpenTabs(page, [tab.title for tab in shown.values()]))
     desk = Desk(page, offer, camera, open_tabs, actions)
     tabs = gui.add_tab_group()
-    for name, tab in shown.items():
-        if tab.is_there(desk):
-            with tabs.add_tab(tab.title, tab.icon) as handle:
-                panels += PANELS.made(name, lambda tab, handle=handle: tab.build(desk, handle)) or []
+    offered = {name: tab for name, tab in shown.items() if tab.is_there(desk)}
+    for name, tab in offered.items():
+        with tabs.add_tab(tab.title, tab.icon) as handle:
+            panels += PANELS.made(name, lambda tab, handle=handle: tab.build(desk, handle)) or []
     status = gui.add_panel()
     with status.add_tab("Planner", viser.Icon.GAUGE):
         panels.append(state := StatusPanel(page))
@@ -230,4 +231,10 @@ def build(page: Page, offer: Offer) -> tuple[CameraPanel, list[Panel]]:
         appearance,
         TitlePanel(page),
         ShortcutPanel(page, actions),
+        FinderPanel(
+            page,
+            [*(tab.title for tab in offered.values()), "Planner", "Legend"],
+            actions.get("layer"),
+            next(((panel, shown["tune"].title) for panel in panels if isinstance(panel, ParameterPanel)), None),
+        ),
     ]

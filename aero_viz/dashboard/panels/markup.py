@@ -83,7 +83,7 @@ def stacked(parts: Sequence[tuple[str, float, Rgb]], unit: str) -> str:
 def bars(values: Sequence[Bar]) -> str:
     """Return a chart with a column for each value."""
     columns = "".join(
-        f'<div title="{text(bar.tooltip)}" style="flex:1;height:{max(4.0, 100.0 * bar.height):.0f}%;'
+        f'<div class="aero-scene" title="{text(bar.tooltip)}" style="flex:1;height:{max(4.0, 100.0 * bar.height):.0f}%;'
         f"background:{css(bar.color)};border-radius:2px 2px 0 0"
         f'{";outline:1px solid currentColor" if bar.is_marked else ""}{";opacity:0.45" if bar.is_faint else ""}"></div>'
         for bar in values
@@ -110,25 +110,24 @@ def columns(header: Sequence[str], rows: Iterable[Sequence[str]], tooltips: Sequ
     return f'<div style="{style}">{cells}</div>'
 
 
-def _dot(color: Rgb) -> str:
-    """Return a small coloured disc."""
-    return (
-        f'<span style="display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;'
-        f'background:{css(color)}"></span>'
-    )
+def _dot(color: Rgb, *, of_scene: bool = False) -> str:
+    """Return a small disc in a colour, of the panels or of the scene."""
+    style = f"display:inline-block;width:8px;height:8px;border-radius:4px;margin-right:5px;background:{css(color)}"
+    return f'<span class="{"aero-scene" if of_scene else ""}" style="{style}"></span>'
 
 
 def key(entries: Iterable[tuple[str, Rgb]]) -> str:
     """Return a legend of single colours in two columns."""
-    items = "".join(f"<div>{_dot(color)}{muted(label)}</div>" for label, color in entries)
+    items = "".join(f"<div>{_dot(color, of_scene=True)}{muted(label)}</div>" for label, color in entries)
     return f'<div style="display:grid;grid-template-columns:1fr 1fr;gap:1px 8px;font-size:11px">{items}</div>'
 
 
 def scale(label: str, low: str, high: str, colormap: palette.Colormap) -> str:
     """Return a legend of a colormap, with a text at either end."""
     return (
-        f'<div style="font-size:11px">{muted(label)}<div style="height:7px;border-radius:3px;margin:2px 0;'
-        f'background:{palette.gradient(colormap)}"></div><div style="display:flex;justify-content:space-between">'
+        f'<div style="font-size:11px">{muted(label)}<div class="aero-scene" style="height:7px;border-radius:3px;'
+        f'margin:2px 0;background:{palette.gradient(colormap)}"></div>'
+        f'<div style="display:flex;justify-content:space-between">'
         f'<span class="aero-low">{text(low)}</span><span class="aero-high">{text(high)}</span></div></div>'
     )
 

@@ -16,7 +16,7 @@ from aero_planner.mailbox import Mailbox
 from aero_viz.dashboard.layers import Change
 from aero_viz.dashboard.layers.scenery import ObstacleLayer
 from aero_viz.dashboard.panels import markup
-from aero_viz.dashboard.panels.base import Hold, Page, Panel
+from aero_viz.dashboard.panels.base import ARROWS, Hold, Page, Panel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.errors import UserError
 from aero_viz.scenes.obstacles import (
@@ -37,8 +37,6 @@ from aero_viz.session.source import SourceInfo
 _PAUSE = 0.4
 """Time for which a typed number must stay unchanged before it is used [s]: a 12 is first a 1."""
 _SIZES = {"cylinder": (0.6, 0.6, 4.0), "box": (1.0, 1.0, 1.0), "sphere": (1.0, 1.0, 1.0)}
-_ARROWS = 80.0
-"""Length of the arrows [pixels]."""
 _ADDED_AT = (6.0, 3.0)
 """Offset of an added obstacle from the drone, towards the goal and to the left [m]."""
 _THROWN_FARTHER_THAN = 3.0
@@ -71,15 +69,7 @@ class ObstaclePanel(Panel):
         self._absence = gui.add_html(markup.note(_ABSENT), visible=False)
         with gui.add_folder(None) as self._folder:
             self._create_controls(gui)
-        self._arrows = self.page.server.scene.add_transform_controls(
-            "/obstacle_arrows",
-            scale=_ARROWS,
-            fixed=True,
-            disable_rotations=True,
-            disable_sliders=True,
-            depth_test=False,
-            visible=False,
-        )
+        self._arrows = self.page.server.scene.add_transform_controls("/obstacle_arrows", disable_sliders=True, **ARROWS)
         self._typed: dict[tuple[ObstacleId | None, str], Callable[[Obstacle], Obstacle]] = {}
         """Changes by numbers that were typed and wait, by obstacle and label of the field."""
         self._lock = threading.Lock()

@@ -16,6 +16,7 @@ from aero_viz.dashboard.panels import markup
 from aero_viz.dashboard.panels.base import Page, Panel
 from aero_viz.dashboard.panels.configuration import Baseline
 from aero_viz.dashboard.panels.parameter_row import ParameterRow
+from aero_viz.dashboard.viser_private import identifier
 from aero_viz.flight.known_drone import config_without_facts
 from aero_viz.session.base import SessionControls
 from aero_viz.session.frame import Frame
@@ -125,6 +126,16 @@ class ParameterPanel(Panel):
     def forget_all_but(self, clients: Mapping[int, viser.ClientHandle]) -> None:
         for number in set(self._searches) - set(clients):
             self._searches.pop(number, None)
+
+    def find(self, client: viser.ClientHandle, path: str) -> str | None:
+        """Let a visitor search for a parameter; return the identifier of its field, None if there is none."""
+        rows = [row for group in self._groups for row in group.rows if row.info.path == path]
+        search = self._searches.get(client.client_id)
+        if not rows or search is None:
+            return None
+        search.text.value = path
+        self.page.refresh()
+        return identifier(rows[0].control.handles[0])
 
     async def _refresh(self, _: viser.GuiEvent) -> None:
         self.page.refresh()

@@ -167,7 +167,7 @@ def _estimates(frame: Frame) -> str:
 
 def _stages(frame: Frame) -> str:
     stages = {name: ms for name, ms in frame.plan.stage_ms.items() if name != "total"}
-    colors = palette.as_rgb(palette.VIRIDIS[np.linspace(70, 245, max(len(stages), 2)).astype(int)])
+    colors = palette.as_rgb(palette.SHARES[np.linspace(0, len(palette.SHARES) - 1, max(len(stages), 2)).astype(int)])
     parts = [(name, ms, color) for (name, ms), color in zip(stages.items(), colors, strict=False)]
     total = frame.timings_ms.get("plan", 0.0)
     heading = markup.heading("plan", f"{total:.1f} ms = {1e3 / max(total, 1e-3):.0f} Hz")

@@ -221,7 +221,7 @@ def _mark(
     tooltip = f"<title>{markup.text(f'{name}: {intervals}')}</title>"
     if point.trial is None:
         corner = f'x="{place[0] - 4:.1f}" y="{place[1] - 4:.1f}" width="8" height="8"'
-        return f'<rect {corner} fill="none" stroke="{css(palette.NOSE)}" stroke-width="2">{tooltip}</rect>'
+        return f'<rect {corner} fill="none" stroke="{css(palette.WARNING)}" stroke-width="2">{tooltip}</rect>'
     centre = f'cx="{place[0]:.1f}" cy="{place[1]:.1f}"'
     if not is_front:
         return f'<circle {centre} r="3" fill="{css(palette.MUTED, 0.6)}">{tooltip}</circle>'
