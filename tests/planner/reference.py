@@ -369,7 +369,7 @@ def S1(
     return float(track + effort) + S2(x, u, goal, points, command, config)
 
 
-def softmin(S: Array, temperature: float) -> Array:
+def softmin(S: Array, temperature: float | Array) -> Array:
     """Return the weights exp(-(S - min S) / lambda) / sum along the last axis."""
     w = np.exp(-(S - S.min(axis=-1, keepdims=True)) / temperature)
     return w / w.sum(axis=-1, keepdims=True)

@@ -137,7 +137,7 @@ def _report(state: DroneParameters) -> str:
     """Return the state of the parameters as HTML."""
     if state.obstacle:
         return markup.note(state.obstacle)
-    parts = [markup.one_line("Version on the drone", f"{state.version}")]
+    parts = [markup.heading("Version on the drone", f"{state.version}")]
     if state.pending:
         parts.append(markup.pill("pending", palette.WARNING) + markup.text(state.pending))
     if state.refused:

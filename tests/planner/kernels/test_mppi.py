@@ -128,7 +128,7 @@ def test_where_jumps_cost_the_first_sample_has_no_noise(device: str, q_jump: flo
 @pytest.mark.parametrize("temperature", [0.1, 50.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, seed: int):
-    fixed = {"sampling__temperature": temperature, "sampling__effective_samples": 0.0}
+    fixed: dict[str, Any] = {"sampling__temperature": temperature, "sampling__effective_samples": 0.0}
     config, case = config_of(sampling__samples=64, **fixed), random_case(seed)
     planner = Planner(config, device=device)
     plan = case.plan(planner)
@@ -147,9 +147,14 @@ def test_update_is_the_softmin_of_the_samples(device: str, temperature: float, s
 @pytest.mark.parametrize("scale", [1.0, 1000.0])
 def test_the_temperature_keeps_the_effective_sample_size(device: str, asked: float, scale: float):
     """Whatever the scale of the costs, unless it would exceed the largest temperature."""
-    changes = {"sampling__effective_samples": asked, "sampling__samples": 64, "sampling__temperature": 30.0}
+    changes: dict[str, Any] = {
+        "sampling__effective_samples": asked,
+        "sampling__samples": 64,
+        "sampling__temperature": 30.0,
+    }
     config = config_of(**changes, costs__q_position=0.01 * scale, costs__q_track=0.01 * scale)
     plan = random_case(1, count=0).plan(Planner(config, device=device))
+    assert plan.temperature is not None
     weights = reference.softmin(plan.stage1_cost.astype(np.float64), plan.temperature[:, None].astype(np.float64))
     size = 1.0 / (weights**2).sum(axis=1)
     assert (size < 1.001 * asked).all() and (plan.temperature < 30.001).all()
