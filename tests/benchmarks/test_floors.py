@@ -55,7 +55,7 @@ def test_floors_grow_with_the_work():
     machine = MACHINES["h100"]
     one = floors(config, machine, points=1000, kept=500)
     batch = floors(config, machine, points=1000, kept=500, batch=8)
-    twice = floors(config.replace({"sampling.samples": 256}), machine, points=2000, kept=500)
+    twice = floors(config.replace({"sampling.samples": 2 * config.sampling.samples}), machine, points=2000, kept=500)
     for name, floor in one.items():
         assert batch[name].operations == 8 * floor.operations and batch[name].cycles == floor.cycles
     assert twice["rollouts"].operations == 2 * one["rollouts"].operations

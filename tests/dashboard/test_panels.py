@@ -108,7 +108,7 @@ def test_a_logarithmic_slider_stays_within_the_bounds_of_the_parameter(server):
 
 def test_a_number_field_is_labelled_for_people_and_shows_the_value_itself(server):
     control = slider(server, "sampling.temperature")
-    assert control.number.label == "Temperature lambda" and control.number.value == 0.003
+    assert control.number.label == "Temperature lambda" and control.number.value == 30.0
 
 
 def test_an_uploaded_file_is_read_and_a_bad_one_is_named():

@@ -25,7 +25,7 @@ OUTPUT = {
     "own_scene": r"slalom-2-1: arrived after \d+\.\d s, (1[89]|2[0-5])\.\d m",
     "own_sensor": r"mid360: arrived, .* seen after 0\.1 s.*tilted32: arrived, at least 0\.[3-9]\d m",
     "own_format": r"centisweeps: 20 sweeps, 20 poses, 16 candidates at the wall",
-    "own_cost_term": r"weight +0: arrived, 0\.[2-9]\d m .*weight 100: arrived, 0\.[01]\d m off the height, at a cost",
+    "own_cost_term": r"weight +0: arrived, 0\.1\d m .*weight 100: arrived, 0\.0\d m off the height, at a cost",
     "own_model": r"arrived after [34]\.\d m, at least 0\.[3-9]\d m from all pillars",
     "own_vehicle": r"default: \w+ after .*matched: arrived after ",
 }

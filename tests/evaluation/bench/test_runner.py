@@ -114,7 +114,7 @@ def test_torn_last_line_is_flown_again(fly, tmp_path):
         ({"seed": 1}, "seed was 0 and is 1"),
         ({"flights": 3}, "flights was 2 and is 3"),
         ({"lidar": "full-sphere"}, "lidar was None and is 'full-sphere'"),
-        ({"config": None}, "config.sampling.samples was 8 and is 128"),
+        ({"config": None}, "config.sampling.samples was 8 and is 256"),
         ({"drone": {"drag": 0.1}}, "simulation.drone.drag was None and is 0.1"),
         ({"sensor": {"points_per_sweep": 400}}, "simulation.lidar.points_per_sweep was 500 and is 400"),
         ({"noise": StateNoise(position=0.1)}, "simulation.noise was None and is"),

@@ -28,7 +28,7 @@ def test_every_ablation_changes_the_first_row():
     first, *variants = BENCHMARKS["ablation"].rows
     assert first.preset is None and first.changes == {"costs.use_ground": True}
     configured = PlannerConfig().replace(first.changes)
-    same = {"K = 128", "N = 25"}  # the default values
+    same = {"K = 256", "N = 25"}  # the default values
     for row in variants:
         base = PlannerConfig() if row.preset is None else PlannerConfig.preset(row.preset)
         assert (base.replace(row.changes) == configured) == (row.label in same)

@@ -14,7 +14,7 @@ CONFIG = PlannerConfig().replace({"costs.q_track": 4.0, "costs.q_speed": 0.0})
     [
         ("costs.q_track", ParameterRange("costs.q_track", 1.0, 16.0)),
         ("costs.q-track", ParameterRange("costs.q_track", 1.0, 16.0)),
-        ("sampling.correlation", ParameterRange("sampling.correlation", 0.2, 0.99)),  # its bounds
+        ("sampling.correlation", ParameterRange("sampling.correlation", 0.2375, 0.99)),  # its bounds
         ("costs.q_speed=0:20", ParameterRange("costs.q_speed", 0.0, 20.0)),
         ("vehicle.gravity=9:9.5", ParameterRange("vehicle.gravity", 9.0, 9.5)),
     ],

@@ -139,7 +139,7 @@ def test_guides_rollouts_and_stops_count_on_them(device: str, delay: float, drag
     position, velocity, quaternion = (
         getattr(work, name).numpy()[0].astype(np.float64) for name in ("position", "velocity", "quaternion")
     )
-    assert np.linalg.norm(disturbance) > 0.5 and (k > 0.1) == (drag > 0.0)
+    assert np.linalg.norm(disturbance) > 0.5 and (k > 0.05) == (drag > 0.0)  # a first estimate
     for m in range(config.anchor_count):
         forward = reference.rotation(quaternion)[:, 0]
         yaw = np.arctan2(3.0 - position[1], 20.0 - position[0]) - np.arctan2(forward[1], forward[0])
