@@ -142,6 +142,9 @@ def live(
         dashboard = Dashboard(session, live=LiveOffer(Path.cwd()), **page_flags.server_options)
         stack.callback(dashboard.close)
         serve_others(stack, session, page_flags)
+        # Others may look at any time, and online odometry needs every cloud.
+        if feed is not None and method is None and page_flags.foxglove_port is None and not page_flags.ros_out:
+            session.rest_unless(lambda: dashboard.server.visitors.count > 0, feed.rest)
         announce(stream.name, dashboard.server, page_flags)
         session.start(play=not page_flags.paused)
         inspector = Inspector(session, wanted)

@@ -65,6 +65,11 @@ class TopicHealth:
         self._arrivals.append(arrival)
         self._stamps.append(stamp)
 
+    def interrupt(self) -> None:
+        """Judge what comes as if it were the first messages; the counts stay."""
+        self._arrivals.clear()
+        self._stamps.clear()
+
     def refuse(self, reason: str) -> None:
         """Count a message that cannot be used, for a reason that completes "It cannot be used because ..."."""
         self.unused[reason] += 1
@@ -101,7 +106,7 @@ class TopicHealth:
     def sentences(self, now: int) -> list[str]:
         """Return what the user should know of the topic, one sentence without a full stop each."""
         found = []
-        if self.count and self.is_silent(now):
+        if self._arrivals and self.is_silent(now):
             found.append(f"{self.topic} is silent for {self.age(now):.0f} s: its publisher has ended, or is not heard")
         for reason, count in self.unused.most_common(3):
             if not self._is_recent(reason):

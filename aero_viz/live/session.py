@@ -24,6 +24,8 @@ from aero_viz.session.session import Session
 
 _TICKS_MAX = 4096
 """Ticks that may wait for a sink: minutes."""
+_REST_DELAY, _REST_POLL = 10.0, 0.5
+"""Time for which nobody looks before a stream rests, and between two looks for somebody who returns [s]."""
 _CLOSE_TIMEOUT = 10.0
 """Longest wait for a slow disk at the end of a recording [s]."""
 
@@ -91,6 +93,11 @@ class StreamSession(Session):
         """The stream."""
         self._ticks = Publisher[Frame]()
         self._due, self._ticks_alone = 0.0, False
+        self.rests = False
+        """True while nothing is planned since nobody uses it; see `rest_unless`."""
+        self._is_shown: Callable[[], bool] = lambda: True
+        self._tell_rest: Callable[[bool], None] = lambda rests: None
+        self._used, self._rest_delay = 0.0, _REST_DELAY
         self.recorder: Recorder | None = None
         """Writes the stream; None while nothing is recorded."""
         super().__init__(source, config=config, device=device, seed=seed)
@@ -107,6 +114,18 @@ class StreamSession(Session):
     def unsubscribe(self, sink: Mailbox[Any], *, timeout: float = 0.0) -> None:
         self._ticks.unsubscribe(sink, timeout=timeout)
         super().unsubscribe(sink, timeout=timeout)
+
+    def rest_unless(
+        self, is_shown: Callable[[], bool], tell: Callable[[bool], None], *, delay: float = _REST_DELAY
+    ) -> None:
+        """Plan nothing while the picture is held, nothing is recorded and nobody looks. Call it before `start`.
+
+        Args:
+            is_shown: returns True if somebody looks.
+            tell: called with True when the rest begins and with False when it ends, before the next plan.
+            delay: time for which nobody looks before the rest begins [s].
+        """
+        self._is_shown, self._tell_rest, self._rest_delay = is_shown, tell, delay
 
     def play(self) -> None:
         """Return to the newest tick, and follow the stream."""
@@ -223,7 +242,7 @@ class StreamSession(Session):
         """Start the thread that plans. Without `play`, the first tick is held."""
 
         def first() -> None:
-            self._due = time.monotonic()
+            self._due = self._used = time.monotonic()
             if self._try_tick() and not play:
                 self._hold()
 
@@ -231,13 +250,25 @@ class StreamSession(Session):
         self._loop.start(first, name="aero-viz-stream")
 
     def _idle_time(self) -> float | None:
-        return 0.0 if self._must_compare() else max(self._due - time.monotonic(), 0.0)
+        self._rest_if_unused()
+        if self._must_compare():
+            return 0.0
+        return _REST_POLL if self.rests else max(self._due - time.monotonic(), 0.0)
+
+    def _rest_if_unused(self) -> None:
+        now = time.monotonic()
+        if self._engine.follows or self.recorder is not None or self._is_shown():
+            self._used = now
+        rests = now - self._used > self._rest_delay
+        if rests != self.rests:
+            self.rests, self._due = rests, now
+            self._tell_rest(rests)
 
     def _must_compare(self) -> bool:
         return self.comparison.has_work
 
     def _work(self) -> None:
-        if self._ticks_alone and time.monotonic() >= self._due:
+        if self._ticks_alone and not self.rests and time.monotonic() >= self._due:
             self._try_live_tick()
         elif self._must_compare():
             super()._work_on_comparison()

@@ -78,6 +78,14 @@ class Stream:
         """Return the counts of a topic, which begin with the first call."""
         return self.topics.setdefault(topic, TopicHealth(topic, type_name))
 
+    def interrupt(self, topics: Collection[str]) -> None:
+        """Forget the messages so far: some topics were not listened to, which is no fault of theirs."""
+        with self._lock:
+            self._newest.clear()
+            self._bytes = 0
+            for topic in self.topics.keys() & topics:
+                self.topics[topic].interrupt()
+
     def _keep(self, message: LiveMessage) -> None:
         self._newest.append(message)
         self._bytes += len(message.data)

@@ -48,6 +48,7 @@ class Feed:
         self._stream = stream
         self._wanted: dict[str, str] = {}
         self._subscribed: dict[str, _Subscribed] = {}
+        self._rests = False
         self._lock = threading.Lock()
         self._closed = threading.Event()
         self._watcher = threading.Thread(target=self._watch, name="aero-viz-ros-feed", daemon=True)
@@ -78,6 +79,14 @@ class Feed:
             self._wanted = dict(topics)
             self._update()
 
+    def rest(self, rests: bool) -> None:
+        """Unsubscribe from the clouds while nobody uses them: they take most of the network and of the processor."""
+        with self._lock:
+            if self._rests and not rests:
+                self._stream.interrupt(self._wanted.keys() - self._subscribed.keys())
+            self._rests = rests
+            self._update()
+
     def _watch(self) -> None:
         while not self._closed.wait(_PERIOD):
             with self._lock:
@@ -86,9 +95,10 @@ class Feed:
 
     def _update(self) -> None:
         """Remove what is not wanted, and subscribe where nothing is subscribed, or with another quality."""
-        for name in [name for name in self._subscribed if name not in self._wanted]:
+        wanted = {name: kind for name, kind in self._wanted.items() if not (self._rests and kind in CLOUD_TYPES)}
+        for name in [name for name in self._subscribed if name not in wanted]:
             self.graph.remove(self._subscribed.pop(name).subscription)
-        for name, kind in self._wanted.items():
+        for name, kind in wanted.items():
             quality, present = self.graph.quality(name, kind), self._subscribed.get(name)
             self._stream.health(name, kind).publishers = tuple(self.graph.nodes(name))
             # Without a publisher, the subscription waits for one that returns.

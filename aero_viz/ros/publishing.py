@@ -12,7 +12,7 @@ from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.ros import messages
 from aero_viz.ros.graph import Graph
-from aero_viz.ros.parameters import SessionParameters
+from aero_viz.ros.parameters import offer_parameters
 from aero_viz.session.base import BaseSession
 from aero_viz.session.frame import Frame
 
@@ -102,7 +102,7 @@ def publish_session(session: BaseSession) -> Iterator[FramePublisher]:
         UserError: there is no ROS 2, or it cannot start.
     """
     with Graph(parameters=True) as graph:
-        SessionParameters(graph, session)
+        offer_parameters(graph, session)
         publisher = FramePublisher(graph)
         sink = session.subscribe(publisher.write, every=True, name="ros")
         try:

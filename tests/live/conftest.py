@@ -66,10 +66,12 @@ class Corridor:
         message, topic = (transform, "/tf") if self.tf else (odometry, "/odometry")
         self.stream.add(topic, message.kind, message.data, time=self.now)
 
-    def cloud(self, points: NDArray[np.float32] | None = None, *, ahead: int = 0, topic: str = "/points") -> None:
+    def cloud(
+        self, points: NDArray[np.float32] | None = None, *, ahead: int = 0, topic: str = "/points", frame: str = "body"
+    ) -> None:
         """Add a cloud; its stamp is `ahead` [ns] of what it should be."""
         seen = self.seen(walls()) if points is None else points
-        data = encode_point_cloud2(seen, self.now + self.offset + ahead, "body")
+        data = encode_point_cloud2(seen, self.now + self.offset + ahead, frame)
         self.stream.add(topic, POINT_CLOUD2, data, time=self.now)
 
     def seen(self, points: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from aero_planner.onboard.livox import encode_packet
 from aero_viz.errors import UserError
@@ -18,6 +19,7 @@ from aero_viz.live.player import Player
 from aero_viz.live.setup import Wanted, find_setup
 from aero_viz.live.source import StreamSource
 from aero_viz.live.stream import Stream
+from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE, encode_imu
 from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from tests.captures import livox_packets, write_pcap
 from tests.live.conftest import walls
@@ -74,15 +76,31 @@ def test_a_file_without_messages_of_ros_2_is_refused(tmp_path: Path):
         Player(Stream("replay"), tmp_path / "cloud.pcap")
 
 
-def test_odometry_follows_the_sensor():
-    pytest.importorskip("kiss_icp", reason="the extra 'odometry' is not installed")
+def way(time: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Return the position along x of a sensor that is at rest, reaches 1 m/s within a second, and keeps it [m]."""
+    moving = np.maximum(time, 0.0)
+    return np.where(moving < 1.0, 0.5 * moving**2, moving - 0.5)
+
+
+@pytest.mark.parametrize("method", ["kiss-icp", "rko-lio"])
+def test_odometry_follows_the_sensor(method: str):
+    pytest.importorskip(method.replace("-", "_"), reason="the extra 'odometry' is not installed")
     stream = Stream("desk")
-    odometry = OnlineOdometry(stream, "kiss-icp")
-    cloud, start = walls(6000), stream.clock.now() - 1_500_000_000
-    for step in range(15):
-        stamp = start + 100_000_000 * step
-        seen = cloud - np.array([0.1 * step, 0.0, 1.5], np.float32)
-        stream.add("/points", POINT_CLOUD2, encode_point_cloud2(seen, stamp, "sensor"), time=stamp)
+    odometry = OnlineOdometry(stream, method, imu="/imu")
+    cloud, start = walls(6000), stream.clock.now() - 2_000_000_000
+    offsets = np.linspace(0.0, 0.0999, len(cloud)) if method == "rko-lio" else np.zeros(len(cloud))
+    for step in range(20):
+        stamp, time = start + 100_000_000 * step, 0.1 * step - 0.4
+        for sample in range(0, 100, 5):
+            now = stamp + 1_000_000 * sample
+            force = (float(0.0 <= time + 1e-3 * sample < 1.0), 0.0, GRAVITY)
+            other = encode_imu(now, "gimbal", (0.0, 3.0, 0.0), (0.0, 0.0, 0.1))
+            stream.add("/gimbal/imu", IMU_TYPE, other, time=now)
+            stream.add("/imu", IMU_TYPE, encode_imu(now, "sensor", np.zeros(3), force), time=now)
+        seen = cloud - np.stack([way(time + offsets), 0.0 * offsets, 0.0 * offsets + 1.5], axis=1)
+        times = offsets.astype(np.float32) if offsets.any() else None
+        data = encode_point_cloud2(seen.astype(np.float32), stamp, "sensor", times=times)
+        stream.add("/points", POINT_CLOUD2, data, time=stamp + 100_000_000)
         wait_until(lambda step=step: TOPIC in stream.topics and stream.topics[TOPIC].count > step)
     setup = find_setup(stream, Wanted())
     assert (setup.poses, setup.twist) == (TOPIC, "none")

@@ -41,6 +41,20 @@ def test_faults_are_those_of_inspect(corridor: Corridor):
     assert "airframe" in found
 
 
+@pytest.mark.parametrize("turns", [True, False])
+def test_a_map_that_turns_with_the_drone_is_noticed(turns: bool):
+    # FAST-LIO2 publishes a cloud in each frame: here, that of the body may say that it is in the world.
+    stream = Stream("turning")
+    corridor, points = Corridor(stream, 10**15, start=10**15), walls(4000)
+    for step in range(40):
+        corridor.yaw = 0.04 * step
+        corridor.pose()
+        corridor.cloud(corridor.seen(points) if turns else points, frame="world")
+        corridor.now += 100_000_000
+    setup = find_setup(stream, Wanted(), faults=True)
+    assert setup.in_world and ("body-frame" in {finding.code for finding in setup.findings}) == turns
+
+
 def test_velocities_of_the_world_are_noticed():
     stream = Stream("turned")
     corridor = Corridor(stream, 0, yaw=1.2, twist_in_world=True)

@@ -1,8 +1,8 @@
-"""Another program in the graph, which does what the lines of its input say: python -m tests.ros.peer
+"""Another program in the graph, which does what the lines of its input say: python -m tests.ros.peer [NODE]
 
 Each line is a JSON object, and so is each answer. {"read": [topics]} waits for the next message of each, with
-clouds as their size; {"set": {name: value}} sets parameters of the node /aero_viz, and tells for each why not, or "";
-{"get": [names]} and {"describe": [names]} return their values and descriptions.
+clouds as their size; {"set": {name: value}} sets parameters of the node, by default /aero_viz,
+and tells for each why not, or ""; {"get": [names]} and {"describe": [names]} return their values and descriptions.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from aero_viz.ros.graph import Graph
 
 _TIMEOUT = 60.0
+_NODE = sys.argv[1] if len(sys.argv) > 1 else "/aero_viz"
 
 
 def plain(value: Any) -> Any:
@@ -42,7 +43,7 @@ def _wait(get: Any) -> Any:
 
 @functools.cache
 def _client(graph: Graph, service: Any, name: str) -> Any:
-    return graph.node.create_client(service, f"/aero_viz/{name}")
+    return graph.node.create_client(service, f"{_NODE}/{name}")
 
 
 def _call(graph: Graph, service: Any, name: str, request: Any) -> Any:

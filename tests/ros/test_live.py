@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -158,6 +160,43 @@ def test_only_what_is_used_is_subscribed_to(graph: Graph, feed: Feed, start: Sta
     feed.use({"/points": TOPICS["/points"]})
     assert feed.topics == {"/points": TOPICS["/points"]}
     wait_until(lambda: graph.node.count_subscribers("/odometry") == 0)
+
+
+def test_clouds_that_nobody_uses_are_not_subscribed_to(
+    graph: Graph, start: Start, stream: Stream, feed: Feed, open_session: Open, tmp_path: Path
+):
+    start(DRIVER)
+    session, shown = open_session(), threading.Event()
+    session.rest_unless(shown.is_set, feed.rest, delay=0.1)
+    frames = collect(session)
+
+    def rest() -> None:
+        session.pause()
+        wait_until(lambda: graph.node.count_subscribers("/points") == 0)
+
+    def resumed() -> Frame:
+        before = len(frames)
+        wait_until(lambda: len(frames) > before + 2 and frames[-1].observation.cloud_age < 0.5)
+        assert graph.node.count_subscribers("/points") == 1
+        return frames[-1]
+
+    resumed()  # nobody looks, but the picture follows
+    rest()
+    assert session.rests and graph.node.count_subscribers("/odometry") == 1
+    time.sleep(2.0)
+    shown.set()
+    assert resumed().explanation is None  # the gap is no fault of the driver
+    assert session.frame is not frames[-1]  # the picture is still held
+    shown.clear()
+    rest()
+    session.play()
+    resumed()
+    rest()
+    recorder = session.record(tmp_path / "rest.mcap").result()
+    resumed()
+    wait_until(lambda: recorder.ticks > 3)
+    session.stop_recording().result()
+    wait_until(lambda: session.rests)
 
 
 def goal_of(frame: Frame) -> list[float]:

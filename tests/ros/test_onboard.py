@@ -7,18 +7,23 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from aero_planner.config import VehicleConfig
+from aero_planner.config import PlannerConfig, VehicleConfig
+from aero_planner.config.file import format_config
 from aero_planner.onboard.connections import open_lidar, open_link, ros_inputs
+from aero_planner.onboard.flight_config import format_onboard
 from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.rig.rig import free_ports
 from tests.planner.onboard.mavlink_peer import Peer, landed_state, odometry
+from tests.planner.onboard.simulated import SMALL
 from tests.ros.conftest import Start, wait_until
+from tests.ros.test_publishing import Peer as Program
 
 
 class Drone:
@@ -80,6 +85,38 @@ def test_without_its_topics_or_against_the_autopilot_there_is_no_new_state(drone
     wait_until(lambda: time.monotonic() - drone.step().time > drone.config.limits.state_age)
     start("tests.ros.lio")  # its clock begins again
     wait_until(lambda: time.monotonic() - drone.step().time < 0.2 and drone.lidar.poll())
+
+
+@pytest.fixture
+def running(domain: int, tmp_path: Path) -> Iterator[None]:
+    """A node that runs with inputs from ROS, and hears neither sensor nor autopilot, which may therefore be armed."""
+    (port,) = free_ports(1)
+    settings = {
+        "lidar.source": "ros", "mavlink.url": f"udpin:127.0.0.1:{port}", "telemetry.enabled": False,
+        "tuning.limits": "vehicle.speed_limit 1..6, costs.q_track 1..30, candidates.prefer_safe",
+    }  # fmt: skip
+    (tmp_path / "flight.yaml").write_text(format_config(SMALL) + format_onboard(OnboardConfig().replace(settings)))
+    command = [sys.executable, "-m", "aero_planner", "run", "--config", str(tmp_path / "flight.yaml")]
+    process = subprocess.Popen(command)
+    yield
+    process.terminate()
+    assert process.wait(30) == 0
+
+
+def test_who_sets_a_parameter_twice_changes_the_one_in_force(running: None, start: Start):
+    peer = Program(start("tests.ros.peer", "/aero_planner/tuning"))
+    speed, others = "vehicle.speed_limit", ["costs.q_track", "candidates.prefer_safe"]
+    (described, *_) = peer.ask(describe=[speed, *others])
+    assert described["floating_point_range"] == [{"from_value": 1.0, "to_value": 6.0, "step": 0.0}]
+    assert PlannerConfig.find(speed).help in described["description"]
+    assert peer.ask(get=[speed, *others]) == [5.0, 5.0, SMALL.candidates.prefer_safe]
+    (reason,) = peer.ask(set={speed: 3})
+    assert "armed" in reason and "Set the same again" in reason and peer.ask(get=[speed]) == [5.0]
+    time.sleep(1.0)
+    assert peer.ask(set={speed: 3}) == [""]
+    wait_until(lambda: peer.ask(get=[speed]) == [3.0])
+    assert "6" in peer.ask(set={speed: 6.5})[0]
+    assert peer.ask(set={"vehicle.mass": 1.5})[0] and peer.ask(describe=["vehicle.mass"]) == []
 
 
 def test_a_node_that_asks_for_nothing_of_ros_imports_nothing_of_it():

@@ -1,7 +1,7 @@
-"""Points and the vehicle's state from topics of ROS 2. The one module of the node that imports rclpy, when it is used.
+"""Points, state and parameters from ROS 2. The one module of the node that imports rclpy, when it is used.
 
-Messages wait in bounded queues until the control loop takes them, so that nothing of ROS runs in that loop. Nothing is
-published: commands go to the autopilot over MAVLink alone.
+Messages wait in bounded queues until the control loop takes them, so that nothing of ROS runs in that loop. No topic of
+the node is published: commands go to the autopilot over MAVLink alone.
 """
 
 from __future__ import annotations
@@ -10,18 +10,21 @@ import importlib
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from aero_planner.config import ParameterInfo, Value
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.odometry import RosOdometry
 from aero_planner.onboard.ros_points import RosPoints
+from aero_planner.onboard.ros_tuning import RosTuning
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.sweep_buffer import lidar_mount
 
 _log = logging.getLogger(__name__)
 
 _SEARCH_PERIOD = 0.5  # [s] between two looks for the type of a topic
+_FOLLOW_PERIOD = 0.1  # [s] after which a value that has changed is one of the node's parameters, too
 _CLOSE_TIMEOUT = 5.0  # [s]
 _CLOUDS = {"sensor_msgs/msg/PointCloud2": False, "livox_ros_driver2/msg/CustomMsg": True}
 """Types of clouds, and whether their bytes are decoded here, since rclpy takes too long for them."""
@@ -46,8 +49,6 @@ class RosInputs:
     def __init__(self, config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
         try:
             rclpy = importlib.import_module("rclpy")
-            from rclpy.executors import SingleThreadedExecutor
-            from rclpy.node import Node
             from rclpy.signals import SignalHandlerOptions
         except ImportError as error:
             raise ImportError(
@@ -63,31 +64,36 @@ class RosInputs:
         self._context = rclpy.Context()
         try:
             rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-            self._node = Node("aero_planner", context=self._context, start_parameter_services=False)
+            self._inputs = _Member(self._context, "aero_planner")
         except Exception as error:  # rclpy raises several unrelated classes
             self._context.try_shutdown()
             raise OSError(f"ROS 2 can't start: {error}; check ROS_DOMAIN_ID.") from error
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
+        self._members = [self._inputs]
         if self.odometry is not None:
             self._subscribe(state.topic, "nav_msgs/msg/Odometry", self.odometry.receive)
         self._searched = lidar.topic if self.points is not None else None
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="ros", daemon=True)
-        self._thread.start()
+        self._next_search = -float("inf")
+        self._inputs.start(self._search)
 
-    def _run(self) -> None:
-        searched = -float("inf")
-        while not self._closed.is_set():
-            if self._searched is not None and time.monotonic() - searched > _SEARCH_PERIOD:
-                searched = time.monotonic()
-                self._find_points(self._searched)
-            self._executor.spin_once(timeout_sec=_SEARCH_PERIOD)
+    def offer(self, tuning: RosTuning) -> None:
+        """Let others set the parameters that may change in flight, as those of the node /aero_planner/tuning.
+
+        The node has a thread of its own, since whoever sets a parameter waits for the next plan: no message does.
+        """
+        member = _Member(self._context, "tuning", namespace="aero_planner", parameters=True)
+        NodeParameters(member.node, tuning.current, tuning.ask)
+        member.start()
+        self._members.append(member)
+
+    def _search(self) -> None:
+        if self._searched is not None and time.monotonic() >= self._next_search:
+            self._next_search = time.monotonic() + _SEARCH_PERIOD
+            self._find_points(self._searched)
 
     def _find_points(self, topic: str) -> None:
         """Subscribe to the topic of the points once somebody publishes it, with the type that it has."""
         assert self.points is not None
-        for info in self._node.get_publishers_info_by_topic(topic):
+        for info in self._inputs.node.get_publishers_info_by_topic(topic):
             if info.topic_type in _CLOUDS:
                 is_raw = _CLOUDS[info.topic_type]
                 self._subscribe(
@@ -107,13 +113,126 @@ class RosInputs:
         except (ImportError, AttributeError) as error:
             _log.error("%s can't be read: %s; source the workspace that has %s", topic, error, package)
             return
-        self._node.create_subscription(message, topic, receive, qos_profile_sensor_data, raw=raw)
+        self._inputs.node.create_subscription(message, topic, receive, qos_profile_sensor_data, raw=raw)
 
     def close(self) -> None:
         """Leave the graph."""
+        for member in self._members:
+            member.close()
+        self._context.try_shutdown()
+
+
+class _Member:
+    """A node, whose callbacks run on a thread of its own from `start` to `close`."""
+
+    def __init__(self, context: Any, name: str, *, namespace: str = "", parameters: bool = False) -> None:
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+
+        self.node = Node(name, context=context, namespace=namespace, start_parameter_services=parameters)
+        self._executor = SingleThreadedExecutor(context=context)
+        self._executor.add_node(self.node)
+        self._closed = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, between: Callable[[], None] = lambda: None) -> None:
+        """Start the thread, which calls `between` from time to time."""
+
+        def run() -> None:
+            while not self._closed.is_set():
+                between()
+                self._executor.spin_once(timeout_sec=_SEARCH_PERIOD)
+
+        self._thread = threading.Thread(target=run, name=f"ros-{self.node.get_name()}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
         self._closed.set()
         self._executor.wake()
-        self._thread.join(_CLOSE_TIMEOUT)
+        if self._thread is not None:
+            self._thread.join(_CLOSE_TIMEOUT)
         self._executor.shutdown(0.0)
-        self._node.destroy_node()
-        self._context.try_shutdown()
+        self.node.destroy_node()
+
+
+class NodeParameters:
+    """Declares parameters of a node, such as "costs.q_track", lets others set them, and keeps both sides equal.
+
+    Everything happens on the thread of the node, so that nothing is set by two threads at once.
+
+    Args:
+        node: the node of rclpy, with parameter services.
+        current: returns the parameters and their values in force by path. If it returns others, those are declared.
+        ask: changes values, by path; raises ValueError with the reason if that is refused.
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        current: Callable[[], tuple[Sequence[ParameterInfo], Mapping[str, Value]]],
+        ask: Callable[[Mapping[str, Any]], None],
+    ) -> None:
+        from rclpy.clock import Clock
+        from rclpy.clock_type import ClockType
+
+        self._node, self._current, self._ask = node, current, ask
+        self._declared: dict[str, ParameterInfo] = {}
+        self._is_own = False
+        """True while the node's parameters are set from here."""
+        self._follow()
+        node.add_on_set_parameters_callback(self._take)
+        node.create_timer(_FOLLOW_PERIOD, self._follow, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _take(self, parameters: list[Any]) -> Any:
+        from rcl_interfaces.msg import SetParametersResult
+
+        changes = {parameter.name: parameter.value for parameter in parameters if parameter.name in self._declared}
+        try:
+            if changes and not self._is_own:
+                self._ask(changes)
+        except ValueError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _follow(self) -> None:
+        """Make the node's parameters those in force."""
+        from rclpy.parameter import Parameter
+
+        infos, values = self._current()
+        self._is_own = True
+        try:
+            if list(infos) != list(self._declared.values()):
+                self._declare(infos, values)
+            # An integer that was set for a float is equal, but of another type.
+            changed = [
+                Parameter(path, value=value)
+                for path, value in values.items()
+                if (old := self._node.get_parameter(path).value) != value or type(old) is not type(value)
+            ]
+            if changed:
+                self._node.set_parameters(changed)
+        finally:
+            self._is_own = False
+
+    def _declare(self, infos: Sequence[ParameterInfo], values: Mapping[str, Value]) -> None:
+        for path in self._declared:
+            self._node.undeclare_parameter(path)
+        self._declared = {info.path: info for info in infos}
+        self._node.declare_parameters("", [(info.path, values[info.path], _descriptor(info)) for info in infos])
+
+
+def _descriptor(info: ParameterInfo) -> Any:
+    from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+
+    descriptor = ParameterDescriptor(
+        name=info.path,
+        description=f"{info.title}: {info.help}",
+        additional_constraints=info.range,
+        # Otherwise 8 for 8.0 would be refused, with the numbers of the types as the reason.
+        dynamic_typing=True,
+    )
+    if isinstance(info.default, float):
+        descriptor.floating_point_range = [FloatingPointRange(from_value=info.low, to_value=info.high)]
+    elif info.is_number:
+        descriptor.integer_range = [IntegerRange(from_value=int(info.low), to_value=int(info.high), step=1)]
+    return descriptor

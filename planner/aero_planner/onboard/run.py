@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import secrets
 import signal
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
@@ -22,10 +23,14 @@ from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.log_place import make_log_path, unwritable
 from aero_planner.onboard.mavlink_signing import load_key
 from aero_planner.onboard.node import Node
+from aero_planner.onboard.ros_tuning import RosTuning
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import Telemetry
 from aero_planner.onboard.tuning import Tuning
 from aero_planner.planner import Planner
+
+if TYPE_CHECKING:
+    from aero_planner.onboard.ros import RosInputs
 
 _log = logging.getLogger("aero_planner")
 
@@ -78,7 +83,7 @@ def run_node(
         opened = resources.enter_context(contextlib.ExitStack())
         link = opened.enter_context(contextlib.closing(open_link(onboard, planner_config.vehicle, ros)))
         lidar = opened.enter_context(contextlib.closing(open_lidar(onboard, ros)))
-        tuning = _open_tuning(planner_config, onboard)
+        tuning = _open_tuning(planner_config, onboard, ros)
         observers = _open_observers(log, planner_config, onboard, tuning, opened)
         failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer, lambda: link.min_signing_time)
         opened.callback(failsafe.close)
@@ -135,13 +140,21 @@ def _planning_errors(device: str) -> Iterator[None]:
         raise ValueError(f"the planner can't plan on {device}: {error}") from error
 
 
-def _open_tuning(planner: PlannerConfig, onboard: OnboardConfig) -> Tuning | None:
+def _open_tuning(planner: PlannerConfig, onboard: OnboardConfig, ros: RosInputs | None) -> Tuning | None:
     settings = onboard.tuning
-    if settings.key_file == "none":
+    has_key = settings.key_file != "none"
+    is_in_ros = ros is not None and settings.limits != "none"
+    if not has_key and not is_in_ros:
         return None
-    key = load_key(settings.key_file, "tuning.key_file")
-    _log.info("who holds the key may change: %s", settings.limits)
-    return Tuning(planner, onboard, key)
+    # Nobody holds the other key.
+    key = load_key(settings.key_file, "tuning.key_file") if has_key else secrets.token_bytes(32)
+    tuning = Tuning(planner, onboard, key)
+    if has_key:
+        _log.info("who holds the key may change: %s", settings.limits)
+    if ros is not None and is_in_ros:
+        ros.offer(RosTuning(tuning))
+        _log.info("every program in ROS may change, as parameters of /aero_planner/tuning: %s", settings.limits)
+    return tuning
 
 
 def _open_observers(

@@ -339,8 +339,8 @@ class TuningSettings(ParameterSection, section="tuning"):
 
     limits: str = text(
         "none", TUNING_LIMITS, "none, or a list such as vehicle.speed_limit 1..5, costs.q_track 5..30",
-        "What `aero-viz connect` may change, separated by commas: live parameters of the planner, a number with its "
-        "bounds, anything else without.", label="Parameters that may be changed",
+        "What `aero-viz connect` and ROS may change, separated by commas: live parameters of the planner, a number "
+        "with its bounds, anything else without.", label="Parameters that may be changed",
     )  # fmt: skip
     key_file: str = text(
         "none", KEY_FILE, "a path, or none",

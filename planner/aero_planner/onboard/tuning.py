@@ -21,8 +21,11 @@ _log = logging.getLogger(__name__)
 
 AGE_MAX = 2.0
 """Age of the status to which a request answers, from which it comes too late [s]."""
+UNCONFIRMED = "the drone is armed, and the change was not confirmed."
+"""Answer to a request that would be taken if it were confirmed."""
 _UNDO_MAX = 100
 """Number of earlier configurations that are kept."""
+_STEPS = ("takeoff", "undo")
 _BRAKING = (State.BRAKING, State.WITHDRAWING)
 
 
@@ -45,7 +48,7 @@ class Request:
 class Tuning(Observer):
     """The planner's configuration on the drone, and the one change that may wait for the next plan.
 
-    The control thread calls `observe`, the planning thread `take`, and the telemetry server the rest.
+    The control thread calls `observe`, the planning thread `take`, and whoever talks to viewers or ROS the rest.
 
     Args:
         planner: configuration with which the node starts.
@@ -55,6 +58,7 @@ class Tuning(Observer):
 
     Attributes:
         key: see the arguments.
+        tunable: parameters that may change, by path, with their bounds.
         config: configuration in use, before the replanner's own limit of the speed.
         version: number of changes so far.
     """
@@ -70,7 +74,7 @@ class Tuning(Observer):
         self.key = key
         self.config, self.version = planner, 0
         self._onboard, self._clock = onboard, clock
-        self._tunable = tunable_parameters(onboard.tuning.limits)
+        self.tunable = tunable_parameters(onboard.tuning.limits)
         self._earlier: list[PlannerConfig] = []
         self._takeoff = planner
         self._waiting: Request | None = None
@@ -93,7 +97,7 @@ class Tuning(Observer):
             return {
                 "time": self._clock(),
                 "version": self.version,
-                "values": {path: self.config.get(path) for path in self._tunable},
+                "values": {path: self.config.get(path) for path in self.tunable},
                 "armed": self._armed,
                 "can_undo": bool(self._earlier),
                 "at_takeoff": self.config == self._takeoff,
@@ -161,12 +165,12 @@ class Tuning(Observer):
         elif step == "undo":
             config = self._earlier[-1] if self._earlier else self.config
         else:
-            config = self.config.replace(check_changes(content.get("changes"), self._tunable))
-            if self._armed and content.get("confirmed") is not True:
-                raise ValueError("the drone is armed, and the change was not confirmed.")
+            config = self.config.replace(check_changes(content.get("changes"), self.tunable))
         if config == self.config:
             raise ValueError("nothing would change.")
         check_together(config, self._onboard)
+        if step not in _STEPS and self._armed and content.get("confirmed") is not True:
+            raise ValueError(UNCONFIRMED)
         return config
 
     def _refuse(self, request: Request, error: Exception) -> None:
