@@ -4,10 +4,10 @@
     python -m benchmarks.agility --seeds 1000-1063 --rows forest:100 inclines:400 --modes real --speeds 7 15 \
         --variant "look-ahead 8" anchors.lookahead=8 --variant "longer" anchors.lookahead=8 sampling.steps=30
 
-Every variant is the default configuration with the changes that follow its name. Mode "ideal" plans at 50 Hz and flies
-the planner's own model with exact states. Mode "real" plans at 10 Hz, with lags of thrust and body rates of 40 and
-30 ms, a drag of 0.25 1/s in gusts of 1.5 m/s, a latency of 20 ms, and noise of 3 cm, 5 cm/s and 0.5 deg in the state.
-Worlds without a path are left out.
+Every variant is a preset, the default one unless --preset names another, with the changes that follow its name. Mode
+"ideal" plans at 50 Hz and flies the planner's own model with exact states. Mode "real" plans at 10 Hz, with lags of
+thrust and body rates of 40 and 30 ms, a drag of 0.25 1/s in gusts of 1.5 m/s, a latency of 20 ms, and noise of 3 cm, 5
+cm/s and 0.5 deg in the state. Worlds without a path are left out.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def fly_rows(
     """Fly one variant in the worlds of all rows, in one batch per `options.batch` flights; yield a record per row."""
     changes = dict(changes)
     lidar = changes.pop("lidar", options.lidar)
-    config = PlannerConfig().replace({"vehicle.speed_limit": speed} | {k: value_of(v) for k, v in changes.items()})
+    base = PlannerConfig.preset(options.preset)
+    config = base.replace({"vehicle.speed_limit": speed} | {k: value_of(v) for k, v in changes.items()})
     flights = [(row, world) for row, row_worlds in worlds.items() for world in row_worlds]
     results: list[tuple[str, Any]] = []
     started = time.monotonic()
@@ -147,6 +148,7 @@ def make_flight_parser(name: str, description: str | None) -> argparse.ArgumentP
     parser.add_argument("--seed", type=int, default=0, help="seed of sensor, noise and planner")
     parser.add_argument("--modes", nargs="+", default=list(TICKS_PER_PLAN), choices=TICKS_PER_PLAN)
     parser.add_argument("--speeds", nargs="+", type=float, default=[7.0], help="speed limits [m/s]")
+    parser.add_argument("--preset", default="default", help="preset that the variants change")
     parser.add_argument("--lidar", default="mid360")
     parser.add_argument("--batch", type=int, default=1024, help="largest number of flights at once")
     parser.add_argument("--time-limit", type=float, default=60.0, help="rules.time_limit [s]")
