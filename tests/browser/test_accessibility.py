@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page
 
 from tests.browser.desk import COARSE, TIMEOUT, Desk, visit, with_resolution
 
-TABS = ("Fly", "World", "Curves", "Why", "Layers", "Tune")
+TABS = ("Fly", "World", "Why", "Layers", "Tune")
 ROLES = {
     "button", "checkbox", "slider", "textbox", "combobox", "spinbutton", "tab", "link", "switch", "menuitem", "option",
     "searchbox", "radio",
