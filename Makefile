@@ -7,7 +7,7 @@ unexport PYTHONDONTWRITEBYTECODE
 # Tests that drive a browser run alone, those that mostly wait for the clock three at a time, most others two files at a
 # time. What runs beside them, at low priority, uses the processor time that they leave.
 BROWSER := tests/browser tests/cli/test_page.py tests/gallery tests/rig/test_json.py
-CLOCK := tests/session/test_node_client.py tests/session/test_live_session.py \
+CLOCK := tests/ros tests/session/test_node_client.py tests/session/test_live_session.py \
 	tests/planner/onboard/test_failsafe_process.py tests/planner/onboard/test_node_life.py
 # Tests that compile most of the time, and watch no clock.
 COMPILING := tests/planner/deploy tests/planner/kernels tests/planner/test_cpp_host.py

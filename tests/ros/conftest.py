@@ -23,7 +23,9 @@ Start = Callable[..., subprocess.Popen[str]]
 @pytest.fixture
 def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     """A domain that no other test uses now, reached from this machine only; helper processes inherit it."""
-    number = random.SystemRandom().randint(1, 101)  # beyond 101, ports may be those of other programs
+    worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 4
+    # Each worker has its own domains; beyond 101, ports may be those of other programs.
+    number = 1 + 25 * worker + random.SystemRandom().randrange(25)
     monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return number
