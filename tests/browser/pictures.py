@@ -17,6 +17,13 @@ def count(image: Image, color: ArrayLike, *, tolerance: int = 24) -> int:
     return int((near & (image[..., -1] > 128)).sum()) if image.shape[-1] == 4 else int(near.sum())
 
 
+def ghost_pixels(image: Image) -> int:
+    """Return the number of pixels of the ghost. Shades of the white drone are less blue."""
+    pixels = image[..., :3].astype(int)
+    is_near = np.abs(pixels - palette.GHOST).max(axis=-1) <= 40
+    return int((is_near & (pixels[..., 2] - pixels[..., 1] > 25)).sum())
+
+
 def differing(image: Image, reference: Image) -> int:
     """Return the number of pixels whose colour clearly differs between two pictures."""
     return int((np.abs(image[..., :3].astype(int) - reference[..., :3]).max(axis=-1) > 30).sum())

@@ -6,30 +6,24 @@ import numpy as np
 from small_source import small_config, small_source
 
 from aero_viz.cost_text import cost_text
-from aero_viz.dashboard import palette
 from aero_viz.flight import FlightSource
 from tests.browser.desk import COARSE, open_desk
+from tests.browser.pictures import ghost_pixels
 
 
 def text(desk) -> str:
     return desk.page.locator("body").inner_text()
 
 
-def lilac(desk) -> int:
-    image = desk.screenshot().astype(int)
-    is_near = np.abs(image - palette.GHOST).max(axis=-1) <= 40
-    return int((is_near & (image[..., 2] - image[..., 1] > 25)).sum())  # shades of the white drone are not blue
-
-
 def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(browser):
     layers = ["drone", "alternative", "ghost"]
     with open_desk(browser, small_source(goal=8.0), ticks=20, config=small_config(), layers=layers) as desk:
         session: Any = desk.session
-        assert lilac(desk) == 0
+        assert ghost_pixels(desk.screenshot()) == 0
         desk.open_tab("Tune")
         desk.click("Compare: pin as A")
         desk.page.get_by_text("A and B are the same configuration").wait_for()
-        desk.wait_for(lambda: lilac(desk) > 20, "the rollouts of A")
+        desk.wait_for(lambda: ghost_pixels(desk.screenshot()) > 20, "the rollouts of A")
         number = desk.parameter("vehicle.speed_limit").locator("input")
         desk.open_folder("Vehicle", "Speed limit [m/s]")
         desk.enter(number, "2")
@@ -52,7 +46,7 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.click("Pause")
         assert time < past().differs_at < time + 0.2
         desk.page.get_by_text("A and B differ from").wait_for()
-        desk.wait_for(lambda: lilac(desk) > 20, "the path of A")
+        desk.wait_for(lambda: ghost_pixels(desk.screenshot()) > 20, "the path of A")
         desk.click("Curves")
         desk.page.get_by_text("solid: B · dashed: A").wait_for()
         row = desk.page.locator(".aero-fork").inner_text()
@@ -61,7 +55,7 @@ def test_a_pinned_configuration_plans_the_same_tick_and_flies_as_the_ghost(brows
         desk.click("Curves")  # whose mark of the difference has the colour of the ghost
         desk.click("Stop comparing")
         desk.page.get_by_role("button", name="Compare: pin as A").wait_for()
-        desk.wait_for(lambda: lilac(desk) == 0, "no ghost")
+        desk.wait_for(lambda: ghost_pixels(desk.screenshot()) == 0, "no ghost")
         assert desk.console == [] and desk.dashboard.failures == 0
 
 

@@ -99,13 +99,13 @@ def test_a_malformed_file_is_refused_with_a_reason(restored_desk, tmp_path, cont
 
 def test_applying_the_structure_form_rebuilds_the_planner(restored_desk):
     desk = restored_desk
-    assert desk.session.frame.plan.stage1_cost.shape[1] == 128
+    assert desk.session.frame.plan.stage1_cost.shape[1] == 256
     desk.open_tab("Tune")
     desk.open_folder("Structure", "Samples K")
     number = desk.parameter("sampling.samples").locator("input")
     desk.enter(number, "64")
     desk.page.wait_for_timeout(300)
-    assert desk.session.config.sampling.samples == 128, "a form acts when it is applied"
+    assert desk.session.config.sampling.samples == 256, "a form acts when it is applied"
     desk.click("Apply")
     desk.wait_for(lambda: desk.session.config.sampling.samples == 64, "the new structure")
     desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 64, "a plan with 64 samples")
@@ -113,8 +113,8 @@ def test_applying_the_structure_form_rebuilds_the_planner(restored_desk):
     desk.click("+1")
     desk.wait_for(lambda: desk.session.frame.index == index + 1, "the flight to continue")
     desk.click("undo")
-    desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 128, "the structure before")
-    desk.wait_for(lambda: number.input_value() == "128", "the form to show it")
+    desk.wait_for(lambda: desk.session.frame.plan.stage1_cost.shape[1] == 256, "the structure before")
+    desk.wait_for(lambda: number.input_value() == "256", "the form to show it")
     assert desk.console == []
     assert desk.dashboard.failures == 0
 
@@ -131,7 +131,7 @@ def test_a_structural_number_typed_just_before_apply_is_used(restored_desk, way)
             number.press("Enter")
             desk.page.wait_for_timeout(100)
         desk.click("Apply")
-        desk.wait_for(lambda: desk.session.config.sampling.samples != 128, "another structure")
+        desk.wait_for(lambda: desk.session.config.sampling.samples != 256, "another structure")
         desk.wait_for(lambda: desk.session.config.sampling.samples == samples, f"{samples} samples")  # noqa: B023
 
 

@@ -15,7 +15,7 @@ from aero_viz.dashboard.viser_private import CHARTS
 from aero_viz.logs import flight_recorder
 from aero_viz.session import Session
 from tests.browser.desk import COARSE, Desk, open_desk, quick_forest, visit
-from tests.browser.pictures import count
+from tests.browser.pictures import count, ghost_pixels
 
 TICKS, END = 41, 0.82
 LANE = ".uplot-container:has(.u-label:text-is('{}'))"
@@ -177,10 +177,10 @@ def test_a_changed_weight_leaves_the_old_future_as_a_ghost(desk):
     event.click()
     desk.wait_for(lambda: desk.session.frame.time == pytest.approx(0.4), "the tick of the event")
     desk.click("Curves")  # whose mark of the difference has the colour of the ghost
-    desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) > 20, "the path of the ghost")
+    desk.wait_for(lambda: ghost_pixels(desk.screenshot()) > 20, "the path of the ghost")
     desk.open_tab("Layers")
     desk.checkbox("Ghost: A, or before the fork").click()
-    desk.wait_for(lambda: count(desk.screenshot(), palette.GHOST, tolerance=40) == 0, "no ghost")
+    desk.wait_for(lambda: ghost_pixels(desk.screenshot()) == 0, "no ghost")
 
 
 def test_a_log_is_laid_beside_the_flight(browser, tmp_path):
