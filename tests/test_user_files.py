@@ -26,6 +26,7 @@ OWN = {
     "aero_planner/onboard/failsafe_process.py": {"open"},  # standard input
     "aero_planner/onboard/preflight.py": {"Path('/proc/sys/net/core/rmem_max').read_text"},
     "aero_planner/onboard/transport.py": {"os.open"},  # a serial line
+    "aero_planner/onboard/tuning_link.py": {"channel.open"},  # a sealed message
     "aero_planner/output_files.py": {"os.open"},  # to write
     "aero_planner/user_file.py": {"os.open"},
     "aero_viz/browser.py": {"open"},  # the start of an installed browser
@@ -41,6 +42,7 @@ OWN = {
     "aero_viz/recordings/ouster.py": {"spool.open"},  # its own temporary file
     "aero_viz/rig/process.py": {"self._log_file.read_text"},
     "aero_viz/rig/px4_process.py": {"self._output.read_text", "open"},  # a lock of PX4
+    "aero_viz/session/drone_tuning.py": {"self._channel.open"},  # a sealed message
 }
 """Calls that read what the program, or the system, has written."""
 
