@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aero_viz.dashboard.panels.base import ARROWS
 from aero_viz.flight.conditions import LIVE
 from tests.browser.desk import Desk, open_desk, quick_forest
 
@@ -87,14 +88,15 @@ def test_the_drone_is_dragged_only_while_time_stands_still(desk):
     desk.session.seek(0.0).result()
     desk.checkbox("Drag the drone").click()
     before = np.asarray(desk.session.frame.observation.actual_state.position)
-    tip = np.add(before, (0.0, 0.0, 1.2))
+    x, y = desk.place_on_page(before)
+    tip = x, y - 0.85 * ARROWS["scale"]
 
     def blue() -> int:
         image = desk.screenshot().astype(int)
         return int(((image[..., 2] > 200) & (image[..., 0] < 90) & (image[..., 1] < 170)).sum())
 
     desk.wait_for(lambda: blue() > 50, "the arrows")
-    desk.drag(desk.place_on_page(tip), (0.0, -50.0))
+    desk.drag(tip, (0.0, -50.0))
     desk.wait_for(lambda: desk.session.frame.observation.actual_state.position[2] > before[2] + 0.2, "a higher drone")
     desk.session.set_speed(0.1)
     desk.session.play()
