@@ -14,7 +14,7 @@ from aero_planner import PlannerConfig
 from aero_viz.dashboard.preset_store import PresetStore
 from tests.browser.desk import COARSE, Desk, open_desk
 
-CONFIG = small_config().replace({"sampling.samples": 128})
+CONFIG = small_config().replace({"sampling.samples": PlannerConfig().sampling.samples})
 
 
 @contextlib.contextmanager
