@@ -8,12 +8,11 @@ from collections import Counter, deque
 
 import numpy as np
 
+from aero_viz.recordings.findings import GAP
 from aero_viz.recordings.ros_messages import TF_TYPES
 
 _WINDOW = 200
 """Newest messages from which rates and offsets are computed."""
-_GAP = 1.6
-"""A step that is longer than this many median periods lacks at least one message, as in `recordings.findings`."""
 _SILENT = 5.0
 """Median periods without a message after which a topic is silent, and at least a second."""
 _OFFSET = 0.5
@@ -58,7 +57,7 @@ class TopicHealth:
             if step <= 0.0:
                 self.behind += 1
                 self._note("behind")
-            if len(self._stamps) > 4 and period and _GAP * period < step < 60.0:
+            if len(self._stamps) > 4 and period and GAP * period < step < 60.0:
                 self.missing += round(step / period) - 1
                 self._note("missing")
         self.count += 1

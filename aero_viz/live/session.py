@@ -173,20 +173,8 @@ class StreamSession(Session):
             return super().set_goal(position, quiet=quiet)
         return self._post(lambda: self.stream_source.set_goal(position), quiet=quiet)
 
-    def pin(self) -> Future[Any]:
-        """Make the present configuration A; the stream goes on."""
-        return self._post(self.comparison.pin)
-
-    def compare_with(self, config: DroneConfig) -> Future[Any]:
-        """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
-
-        def command() -> None:
-            if self.comparison.pinned is None:
-                self.comparison.pin()
-            self._configs.change(config)
-            self._replan_if_changed()
-
-        return self._post(command)
+    def _stop_to_compare(self) -> None:
+        """Do nothing: the stream goes on."""
 
     def fly_both(self) -> Future[Any]:
         """Fail: nothing can fly in a stream."""

@@ -29,7 +29,6 @@ from aero_viz.web_access import Access, local_address, quiet_logger
 if TYPE_CHECKING:
     from aero_viz.flight.single import FlightRecorders
 
-_CLOSE_TIMEOUT = 2.0  # [s] for the last messages
 _REQUEST_MAX = 1 << 16  # [bytes]
 _REPORTS_MAX = 8
 _HINTS = {
@@ -174,13 +173,11 @@ def serve_foxglove(session: BaseSession, host: str, port: int, **options: Sequen
     Raises:
         UserError: see `FoxgloveServer`.
     """
-    with contextlib.closing(FoxgloveServer(host, port, **options)) as server:
-        sink = session.subscribe(server.write, every=True, name="foxglove")
-        try:
-            yield server
-        finally:
-            session.unsubscribe(sink, timeout=_CLOSE_TIMEOUT)
-            sink.close(timeout=None)
+    with (
+        contextlib.closing(FoxgloveServer(host, port, **options)) as server,
+        session.every_frame(server.write, name="foxglove"),
+    ):
+        yield server
 
 
 @contextlib.contextmanager

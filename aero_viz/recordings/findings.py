@@ -29,7 +29,7 @@ _AIRFRAME_RANGE, _AIRFRAME_CELL, _AIRFRAME_SHARE = 1.0, 0.05, 0.7
 the sweeps while it moves [m], [m]."""
 _BURST = 1e-3
 """Sweeps that follow one another faster belong to one cloud: a flight log starts with several [s]."""
-_GAP = 1.6
+GAP = 1.6
 """A gap between two sweeps that is longer than this many median periods lacks at least one sweep."""
 _PAUSE = 60.0
 """Recorders that lose sweeps go on sooner [s]."""
@@ -158,7 +158,7 @@ def _dropped_sweeps(recording: Recording) -> Iterator[Finding]:
             f"the time jumps by {steps[at]:.1f} s after the sweep at {times[at]:.1f} s; a sweep takes {period:.2f} s",
             "if the recording was not paused there, a clock was set: synchronize the sensor's clock before you record",
         )
-    gaps = np.flatnonzero((steps > _GAP * period) & (steps <= _PAUSE))
+    gaps = np.flatnonzero((steps > GAP * period) & (steps <= _PAUSE))
     if period > 0.0 and len(gaps):
         missing, longest = int(np.round(steps[gaps] / period - 1.0).sum()), float(steps[gaps].max())
         yield Finding(

@@ -104,13 +104,8 @@ def publish_session(session: BaseSession) -> Iterator[FramePublisher]:
     with Graph(parameters=True) as graph:
         offer_parameters(graph, session)
         publisher = FramePublisher(graph)
-        sink = session.subscribe(publisher.write, every=True, name="ros")
-        try:
+        with contextlib.closing(publisher), session.every_frame(publisher.write, name="ros"):
             yield publisher
-        finally:
-            session.unsubscribe(sink, timeout=_CLOSE_TIMEOUT)
-            sink.close(timeout=None)
-            publisher.close()
 
 
 @contextlib.contextmanager

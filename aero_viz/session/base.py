@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -198,6 +199,19 @@ class BaseSession(ABC):
         if self.frame is not None:
             sink.put(self.frame)
         return sink
+
+    @contextlib.contextmanager
+    def every_frame(self, callback: Callable[[Frame], None], *, name: str, timeout: float = 2.0) -> Iterator[None]:
+        """Call `callback` with every frame, as `subscribe` does, while the context is open.
+
+        At its end, frames that still wait are delivered for up to `timeout` [s], and no call goes on.
+        """
+        sink = self.subscribe(callback, every=True, name=name)
+        try:
+            yield
+        finally:
+            self.unsubscribe(sink, timeout=timeout)
+            sink.close(timeout=None)
 
     def subscribe_notices(self, callback: Callable[[Notice], None]) -> Mailbox[Notice]:
         """Call `callback` with each notice, on a separate thread, until `unsubscribe`."""

@@ -292,10 +292,13 @@ class Session(BaseSession):
         """Pause, and make the present configuration A, with which every later configuration, B, is compared."""
 
         def command() -> None:
-            self._set_playing(False)
+            self._stop_to_compare()
             self.comparison.pin()
 
         return self._post(command)
+
+    def _stop_to_compare(self) -> None:
+        self._set_playing(False)
 
     def unpin(self) -> Future[Any]:
         """End the comparison."""
@@ -305,7 +308,7 @@ class Session(BaseSession):
         """Use `config` as B against the pinned configuration, A; without one, the present one is pinned first."""
 
         def command() -> None:
-            self._set_playing(False)
+            self._stop_to_compare()
             if self.comparison.pinned is None:
                 self.comparison.pin()
             self._configs.change(config)
