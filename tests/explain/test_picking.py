@@ -57,10 +57,13 @@ def test_a_point_that_is_too_near_says_that_the_partition_leaves_it_out(frame):
 
 
 def test_a_click_behind_everything_picks_a_point_or_nothing(frame):
-    low = frame.observation.points[frame.observation.points[:, 0] < -0.9].astype(np.float64)[-1]
-    picked = pick(frame, EYE, toward(low))
+    points, plan = frame.observation.points[::500].astype(np.float64), frame.plan
+    lines = np.concatenate([plan.anchors, plan.guides.reshape(-1, 3), plan.positions.reshape(-1, 3)])
+    sights, others = ((places - EYE) / np.linalg.norm(places - EYE, axis=1)[:, None] for places in (points, lines))
+    seen = points[(sights @ others.T).max(axis=1).argmin()]
+    picked = pick(frame, EYE, toward(seen))
     assert picked is not None and picked.kind == "point"
-    assert np.linalg.norm(np.cross(picked.point - EYE, toward(low))) < 0.1
+    assert np.linalg.norm(np.cross(picked.point - EYE, toward(seen))) < 0.1
     assert pick(frame, EYE, np.array([0.0, 0.0, 1.0])) is None
     cell = pick(frame, EYE, toward(frame.plan.filtered_points[0].astype(np.float64)), cells=True)
     assert cell is not None

@@ -44,18 +44,26 @@ def state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture(scope="package")
-def small_planner() -> Iterator[Planner]:
+def shared_planner() -> Iterator[Planner]:
     """A planner with few samples, shared by all tests."""
     planner = Planner(SMALL, seed=2)
     yield planner
     planner.close()
 
 
+@pytest.fixture
+def small_planner(shared_planner: Planner) -> Planner:
+    """The shared planner, without what an earlier test has changed."""
+    shared_planner.configure(SMALL)
+    return shared_planner
+
+
 @pytest.fixture(scope="package")
-def records(small_planner: Planner) -> list[PlanRecord]:
+def records(shared_planner: Planner) -> list[PlanRecord]:
     """Records of the first plans of a flight."""
     seen = Records()
-    simulation = Simulation(small_planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[seen])
+    shared_planner.configure(SMALL)
+    simulation = Simulation(shared_planner, poles(PLACES), (18.0, 0.0, 2.0), observers=[seen])
     simulation.engage()
     simulation.run(0.5)
     return seen.plans

@@ -38,11 +38,12 @@ def sample(time: float) -> VehicleSample:
 
 
 @pytest.fixture(scope="module")
-def flown(small_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records, Simulation]:
+def flown(shared_planner: Planner, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records, Simulation]:
     """A short flight, what its observer saw, and its log."""
     path, seen = tmp_path_factory.mktemp("log") / "flight.mcap", Records()
     relay = Relay()
-    simulation = Simulation(small_planner, WORLD, (18.0, 0.0, 2.0), observers=[relay])
+    shared_planner.configure(SMALL)
+    simulation = Simulation(shared_planner, WORLD, (18.0, 0.0, 2.0), observers=[relay])
     log = FlightLog(path, SMALL, OnboardConfig(), clock=lambda: simulation.now)
     relay.observers = [log, seen]
     simulation.engage()

@@ -251,30 +251,27 @@ def test_the_node_flies_changed_parameters_and_logs_them(small_planner: Planner,
     simulation = Simulation(small_planner, poles(CORRIDOR), GOAL, observers=[relay], tuning=tuning)
     log = FlightLog(tmp_path / "flight.mcap", SMALL, ONBOARD, clock=lambda: simulation.now)
     relay.observers = [seen, log]
-    try:
-        simulation.engage()
-        simulation.run(0.5)
-        request = submit(tuning, simulation, {"vehicle.speed_limit": 2.0})
-        assert request.answer is None and small_planner.config == SMALL
-        simulation.run(0.2)
-        assert request.answer == "" and small_planner.config.vehicle.speed_limit == 2.0
-        # A velocity that is uncertain still halves the limit, and a change does not lift that.
-        simulation.link.velocity_std = 0.49
-        simulation.run(0.2)
-        assert small_planner.config.vehicle.speed_limit == pytest.approx(1.0)
-        assert submit(tuning, simulation, {"vehicle.speed_limit": 4.0}, 2).answer is None
-        simulation.run(0.2)
-        assert small_planner.config.vehicle.speed_limit == pytest.approx(2.0)
-        assert tuning.config.vehicle.speed_limit == 4.0
-        simulation.link.velocity_std = 0.05
-        simulation.run(0.2)
-        assert small_planner.config == tuning.config
-        # A drone that brakes keeps its parameters.
-        simulation.lidar.alive = False
-        assert simulation.run_until(lambda: simulation.node.state is State.BRAKING, 2.0)
-        assert "the drone is braking" in str(submit(tuning, simulation, {"vehicle.speed_limit": 3.0}, 3).answer)
-    finally:
-        small_planner.configure(SMALL)
+    simulation.engage()
+    simulation.run(0.5)
+    request = submit(tuning, simulation, {"vehicle.speed_limit": 2.0})
+    assert request.answer is None and small_planner.config == SMALL
+    simulation.run(0.2)
+    assert request.answer == "" and small_planner.config.vehicle.speed_limit == 2.0
+    # A velocity that is uncertain still halves the limit, and a change does not lift that.
+    simulation.link.velocity_std = 0.49
+    simulation.run(0.2)
+    assert small_planner.config.vehicle.speed_limit == pytest.approx(1.0)
+    assert submit(tuning, simulation, {"vehicle.speed_limit": 4.0}, 2).answer is None
+    simulation.run(0.2)
+    assert small_planner.config.vehicle.speed_limit == pytest.approx(2.0)
+    assert tuning.config.vehicle.speed_limit == 4.0
+    simulation.link.velocity_std = 0.05
+    simulation.run(0.2)
+    assert small_planner.config == tuning.config
+    # A drone that brakes keeps its parameters.
+    simulation.lidar.alive = False
+    assert simulation.run_until(lambda: simulation.node.state is State.BRAKING, 2.0)
+    assert "the drone is braking" in str(submit(tuning, simulation, {"vehicle.speed_limit": 3.0}, 3).answer)
     simulation.node.close()
     assert [change.version for change in seen.changes] == [1, 2]
     with log.path.open("rb") as file:
