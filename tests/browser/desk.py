@@ -13,6 +13,7 @@ import imageio.v3 as iio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from playwright.sync_api import Browser, Locator, Page
+from playwright.sync_api import TimeoutError as PlaywrightTimeout
 from viser import CameraHandle
 
 from aero_planner import PlannerConfig
@@ -140,9 +141,18 @@ class Desk:
         self.page.evaluate(_SENT)
 
     def choose(self, label: str, option: str) -> None:
-        """Choose an option of a dropdown."""
-        self.control(label).locator("input").first.click()
-        self.page.get_by_role("option", name=option, exact=True).click()
+        """Choose an option of a dropdown; a change that arrives meanwhile closes its list, and it is opened again."""
+        choice = self.page.get_by_role("option", name=option, exact=True)
+
+        def chosen() -> bool:
+            if not choice.is_visible():
+                self.control(label).locator("input").first.click()
+            with contextlib.suppress(PlaywrightTimeout):
+                choice.click(timeout=2000)
+                return True
+            return False
+
+        self.wait_for(chosen, f"{option} to be on offer")
 
     def download(self, button: str, folder: Path) -> Path:
         """Click a button and save the file that it offers."""

@@ -68,6 +68,7 @@ def test_a_typed_value_beyond_the_end_of_the_slider_is_accepted_unchanged(desk):
 
 def test_a_logarithmic_slider_shows_values_and_sets_them(desk):
     desk.open_tab("Tune")
+    desk.choose("Show", "expert")
     desk.open_folder("Noise and weights", "Temperature lambda")
     slider, before = desk.slider("sampling.temperature"), desk.session.config.sampling.temperature
     labels = slider.locator(".mantine-Slider-markLabel").all_inner_texts()
@@ -78,6 +79,7 @@ def test_a_logarithmic_slider_shows_values_and_sets_them(desk):
     desk.wait_for(lambda: float(number.input_value()) == desk.session.config.sampling.temperature, "the same number")
     desk.click("undo")
     desk.wait_for(lambda: float(number.input_value()) == before, "the temperature before")
+    desk.choose("Show", "basic")
 
 
 def test_the_step_pause_restart_and_time_controls_work(restored_desk):

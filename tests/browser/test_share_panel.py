@@ -5,6 +5,7 @@ import threading
 
 import imageio.v3 as iio
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from aero_planner import PlannerConfig
 from aero_viz.dashboard import palette
@@ -72,13 +73,14 @@ def test_the_picture_shows_what_the_visitor_sees(browser, tmp_path):
     assert count(image[:, LEFT:-RIGHT], palette.DRONE) < 20, "the hidden drone"
     legend, header = (slice(400, 600), slice(0, LEFT)), (slice(0, 250), slice(-RIGHT, None))
     for panel in (legend, header):  # the tab, and no line about visitors
-        assert differing(image[panel], shown[panel]) < 200
+        # Averaged: a panel may lie half a pixel higher on one of the two pages.
+        assert differing(*(uniform_filter(page[panel], size=(5, 5, 1)) for page in (image, shown))) < 50
 
 
 def chosen_rollout(image: np.ndarray) -> np.ndarray:
-    """Mean pixel of the chosen rollout, outside the panels, shape [2]."""
-    near = np.abs(image[:350, :-RIGHT].astype(int) - palette.CHOSEN).max(axis=-1) <= 40
-    return np.argwhere(near).mean(axis=0)
+    """First and last row and column of the chosen rollout, outside the panels, shape [2, 2]."""
+    near = np.argwhere(np.abs(image[:350, :-RIGHT].astype(int) - palette.CHOSEN).max(axis=-1) <= 40)
+    return np.stack([near.min(axis=0), near.max(axis=0)])
 
 
 def test_a_link_opens_scene_seed_time_and_configuration_after_a_question(restored_desk):

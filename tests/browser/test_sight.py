@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source
@@ -93,14 +94,16 @@ def test_the_chosen_rollout_is_seen_through_cells(room):
 
 def test_points_keep_their_size_in_the_world(room):
     room.dashboard.show_only(["anchors"])
-    anchors = np.asarray(room.session.frame.plan.anchors)
-    point = anchors[anchors[:, 2].argmax()].astype(float)
+    anchors = np.asarray(room.session.frame.plan.anchors)[: room.session.config.anchor_count]
+    between = np.linalg.norm(anchors[:, None] - anchors, axis=-1) + 1e3 * np.eye(len(anchors))
+    point = anchors[between.min(axis=1).argmax()].astype(float)
 
     def width(distance: float) -> float:
         eye = point + distance * np.array([-1.0, 0.0, 0.0])
-        return 2.0 * np.sqrt(
-            count(room.render(eye, point, width=600, height=600), palette.ANCHOR, tolerance=40) / np.pi
-        )
+        image = room.render(eye, point, width=600, height=600)[..., :3].astype(int)
+        pieces = np.empty(image.shape[:2], int)
+        label(np.abs(image - palette.ANCHOR).max(axis=-1) <= 40, output=pieces)
+        return 2.0 * np.sqrt((pieces == pieces[300, 300]).sum() / np.pi) if pieces[300, 300] else 0.0
 
     room.wait_for(lambda: width(1.0) > 10.0, "the anchor")
     focal = 300.0 / np.tan(0.5 * FIELD_OF_VIEW)
