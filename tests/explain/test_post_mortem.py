@@ -145,7 +145,7 @@ def test_an_obstacle_that_comes_out_from_behind_another_was_occluded():
     content = {"name": "test", "start": [-5, 0, 2], "goal": [25, 0, 2]}
     content["boxes"] = [GROUND, [8.0, -20.8, 4, 0.2, 40, 8, 0]]
     _, alone, *_ = flown(World.from_dict(content), config=config)
-    # It comes where the drone would be without it. The drone is slow: the pillar was hidden during the sweeps before the start, too.
+    # The pillar comes where the drone would be without it. It was hidden during the sweeps before the start, too.
     crossing = next(frame for frame in alone.frames if frame.observation.actual_state.position[0] > 9.0)
     start = crossing.observation.actual_state.position[1] - 3.4 * crossing.time
     pillar, motion = [[9.0, start, 0, 0, 0, 1, 0.5, 8]], [[0.0, 3.4, 40.0]]
