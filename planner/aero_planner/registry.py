@@ -30,6 +30,7 @@ class PlugIn(NamedTuple):
 
 
 STAGES = {
+    "stray_points": "aero_planner.stages.stray_points",
     "unseen_space": "aero_planner.stages.unseen_space",
     "moving_obstacles": "aero_planner.stages.moving_obstacles",
     "way_out": "aero_planner.stages.way_out",

@@ -58,6 +58,7 @@ class Stage:
         terms: cost terms.
         stopping_rows: number of rows of candidates that it appends to those that stop.
         launches: by place of the pipeline, the function of a `Recorder` that records its launches there. The places:
+            "clean": a sweep arrives, before anything else reads it, to remove points of it;
             "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
             "start": after the state is predicted, before the anchors are placed;
             "beside": beside everything up to the first clearance query;
