@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import warp as wp
@@ -21,21 +22,23 @@ class Arrays:
     """Near points of the newest sweeps, and their grid."""
 
     near_slot: wp.array = array(wp.int32, "B", "", "List of the newest sweep.", kept="sweeps")
+    near_time: wp.array = array(wp.float64, "B", "s", "When it arrived.", kept="sweeps", initial=math.nan)
     near_count: wp.array = array(wp.int32, f"B {_SWEEPS}", "", "Near points of each sweep.", kept="sweeps")
     near_points: wp.array = array(wp.vec3, f"B {_SWEEPS} {_LISTED}", "m", "Near points of each sweep, world frame.")
-    near_grid: wp.array = array(wp.int32, f"B {_VOXELS}", "", "Near points of all of these sweeps in each voxel.")
+    near_grid: wp.array = array(wp.int32, f"B {_VOXELS}", "", "Support by each voxel around the drone.")
 
 
 def _remove(r: Recorder) -> list[list[Launches]]:
     """Remove the stray points of the sweep that arrives."""
     a, B, threads = r.stage_arrays(_NAME), r.sizes.B, r.threads_per_sweep
     near = r.bind(support.NearPoints, _NAME)
-    sources = [threads, r.change]
+    sources, sweeps = [threads, r.change], r.arrays.cloud.start.shape[0]
     return [[[
         a.near_grid.zero_,
-        r.record(support.begin_list, (B,), inputs=[r.change], outputs=[near]),
+        r.record(support.begin_list, (B,), inputs=[r.change, r.sweeps], outputs=[near]),
         r.record(support.list_near, (B, threads), inputs=[*sources, r.sweeps], outputs=[near]),
         r.record(support.count_voxels, (B, _SWEEPS, threads), inputs=[*sources, r.sweeps], outputs=[near]),
+        r.record(support.count_far, (B, sweeps, threads), inputs=[*sources, r.sweeps], outputs=[near]),
         r.record(support.remove_stray, (B, threads), inputs=[*sources, near], outputs=[r.sweeps]),
     ]]]  # fmt: skip
 

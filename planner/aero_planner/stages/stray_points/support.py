@@ -1,8 +1,10 @@
 """Points near the drone that no surface explains are removed from the sweep that arrives.
 
 Rain, dust and insects return points anywhere within about a metre. A surface, or a wire, returns its points sweep after
-sweep at the same places. Points are therefore counted in a grid of small voxels around the drone, over the newest
-sweeps and before anything is removed: a near point with few others around it is stray. Points farther away are kept.
+sweep at the same places, and most were measured from farther away before. Points are therefore counted in a grid of
+small voxels around the drone: those near the drone in the newest sweeps, before anything was removed, and all that a
+remembered sweep has measured from afar. A near point is stray if it has few of the former and none of the latter around
+it. Points farther away are kept.
 """
 
 # Postponed annotations are left out: kernels need the types themselves.
@@ -24,6 +26,8 @@ _VOXEL = wp.constant(0.04)
 """Edge of a voxel [m]: a few times the noise of ranges and poses."""
 _NEAR = wp.constant(1.25)
 """Distance from the middle of the drone's way during the sweep within which points need support [m]."""
+_FAR = wp.constant(2.0)
+"""Distance from the drone at the end of a sweep beyond which its points are no rain [m]."""
 _SUPPORT = wp.constant(12.0)
 """Least number of points in 3 x 3 x 3 voxels, for a sweep of `_DENSITY` points."""
 _DENSITY = wp.constant(20000.0)
@@ -36,9 +40,10 @@ class NearPoints:
     """Points near the drone of the newest sweeps, in a ring of SWEEPS lists, and their grid."""
 
     near_slot: wp.array(dtype=int)  # [B], list of the newest sweep
+    near_time: wp.array(dtype=wp.float64)  # [B], when this sweep arrived [s]
     near_count: wp.array2d(dtype=int)  # [B, SWEEPS], near points of each sweep
     near_points: wp.array3d(dtype=wp.vec3)  # [B, SWEEPS, LISTED], world frame [m]
-    near_grid: wp.array2d(dtype=int)  # [B, SIDE^3], points of each voxel
+    near_grid: wp.array2d(dtype=int)  # [B, SIDE^3], support by each voxel
 
 
 @wp.func
@@ -82,15 +87,26 @@ def needed_support(count: int) -> int:
 @wp.kernel
 def begin_list(
     change: wp.array(dtype=SweepChange),
+    # problem
+    cloud: CloudSweeps,
     # out
     near: NearPoints,
 ):
-    """Begin the list of the sweep that arrives in place of the oldest one. Launched over [B]."""
+    """Begin the list of the sweep that arrives in place of the oldest one. Launched over [B].
+
+    One that is no newer than the last one begins the memory again, and the lists.
+    """
     b = wp.tid()
-    if change[0].arrived >= 0:
-        slot = (near.near_slot[b] + 1) % SWEEPS
-        near.near_slot[b] = slot
-        near.near_count[b, slot] = 0
+    row = change[0].arrived
+    if row < 0:
+        return
+    if not cloud.time[b, row] > near.near_time[b]:
+        for i in range(SWEEPS):
+            near.near_count[b, i] = 0
+    slot = (near.near_slot[b] + 1) % SWEEPS
+    near.near_slot[b] = slot
+    near.near_count[b, slot] = 0
+    near.near_time[b] = cloud.time[b, row]
 
 
 @wp.kernel
@@ -139,6 +155,34 @@ def count_voxels(
         cell = cell_of(voxel[0], voxel[1], voxel[2])
         if cell >= 0:
             wp.atomic_add(near.near_grid, b, cell, 1)
+
+
+@wp.kernel
+def count_far(
+    threads: int,
+    change: wp.array(dtype=SweepChange),
+    # problem
+    cloud: CloudSweeps,
+    # out
+    near: NearPoints,
+):
+    """Add enough support for each point that was measured from afar. Launched over [B, sweeps, threads per sweep]."""
+    b, sweep, thread = wp.tid()
+    row = change[0].arrived
+    if row < 0 or cloud.is_ordered[sweep] == 0:
+        return  # the latter has not arrived yet, or is being thinned
+    middle = middle_of_sweep(b, change[0], cloud)
+    apart = middle - cloud.origin[b, sweep]
+    if wp.length(apart) < _FAR - _NEAR:
+        return  # no point is near now and was far then
+    enough = needed_support(cloud.count[b, row])
+    for i in range(thread, cloud.count[b, sweep], threads):
+        point = cloud.points[b, cloud.start[sweep] + i]
+        if is_near(point, middle) and wp.length(point - cloud.origin[b, sweep]) > _FAR:
+            voxel = voxel_of(point, middle)
+            cell = cell_of(voxel[0], voxel[1], voxel[2])
+            if cell >= 0:
+                wp.atomic_add(near.near_grid, b, cell, enough)
 
 
 @wp.kernel

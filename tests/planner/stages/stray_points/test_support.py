@@ -10,7 +10,7 @@ from aero_planner import Goal, Plan, Planner, Sweeps, VehicleState
 from aero_planner.sweeps import Arrival
 from tests.planner.stages.sequence import config_with
 
-VOXEL, SIDE, NEAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 12, 10
+VOXEL, SIDE, NEAR, FAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 2.0, 12, 10
 COUNT = 20_000
 """Points of a sweep, for which `SUPPORT` holds."""
 
@@ -50,15 +50,18 @@ def expected(sweeps: list[NDArray[np.float32]], positions: NDArray[np.float64]) 
     """Return the points that are kept of all sweeps, [n, 3]."""
     kept = []
     middles = [positions[0], *(0.5 * (before + after) for before, after in pairwise(positions))]
-    lists = []
-    for points, middle in zip(sweeps, middles, strict=True):
+    lists: list[NDArray[np.float64]] = []
+    far = [np.zeros((0, 3))]
+    for points, middle, position in zip(sweeps, middles, positions, strict=True):
         points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
         near = np.linalg.norm(points - middle, axis=1) < NEAR
         lists.append(points[near])
         grid = np.zeros((SIDE + 2,) * 3, int)
-        voxels = np.floor((np.concatenate(lists[-SWEEPS:]) - middle) / VOXEL + SIDE / 2).astype(int)
-        inside = ((voxels >= 0) & (voxels < SIDE)).all(axis=1)
-        np.add.at(grid, tuple(voxels[inside].T + 1), 1)
+        for supporting, support in ((lists[-SWEEPS:], 1), (far, SUPPORT)):
+            voxels = np.floor((np.concatenate(supporting) - middle) / VOXEL + SIDE / 2).astype(int)
+            inside = ((voxels >= 0) & (voxels < SIDE)).all(axis=1)
+            np.add.at(grid, tuple(voxels[inside].T + 1), support)
+        far.append(points[np.linalg.norm(points - position, axis=1) > FAR])
         own = np.floor((points - middle) / VOXEL + SIDE / 2).astype(int) + 1
         for point, voxel, is_near in zip(points, own, near, strict=True):
             x, y, z = voxel
@@ -100,6 +103,18 @@ def test_rain_is_removed_and_a_wire_stays(planner: Planner):
     is_wire = np.linalg.norm(shown[:, [0, 2]] - [0.9, 0.0], axis=1) < 0.06
     assert is_wire.sum() > 25 and (~is_wire).sum() <= 3
     assert np.diff(np.sort(shown[is_wire, 1])).max() < 0.25, "the wire has no gap that a drone fits through"
+
+
+def test_what_was_measured_from_afar_is_kept_however_few_points_it_has(planner: Planner):
+    rng = np.random.default_rng(8)
+    twig = np.array([[0.9, 0.02 * i, 0.0] for i in range(3)])
+    approach = np.column_stack((np.arange(-4.0, 0.1, 0.5), np.zeros((9, 2))))
+    for seen_from_afar in (True, False):
+        planner.reset()
+        sweeps = [sweep(rain(rng, 50, place), *([twig] if seen_from_afar else [])) for place in approach[:-1]]
+        shown = filtered(plan_of(planner, [*sweeps, sweep(twig)], approach))
+        sweeps_of_twig = distance_to(twig, shown) if len(shown) else np.full(3, np.inf)
+        assert (sweeps_of_twig.min() < 0.05) == seen_from_afar
 
 
 def test_a_wire_that_was_never_seen_from_afar_appears_within_a_second(planner: Planner):
