@@ -21,6 +21,7 @@ from aero_viz.dashboard.panels.appearance import AppearancePanel
 from aero_viz.dashboard.panels.camera import CameraPanel
 from aero_viz.dashboard.panels.curves import CurvePanel
 from aero_viz.dashboard.panels.drone_tuning import DroneTuningPanel
+from aero_viz.dashboard.panels.finder import FinderPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.parameters import ParameterTablePanel
@@ -199,6 +200,7 @@ def test_a_live_session_has_no_controls_and_the_page_offers_none(live: tuple[Liv
             CameraPanel,
             CurvePanel,
             DroneTuningPanel,
+            FinderPanel,
             LayerPanel,
             OpenTabs,
             ParameterTablePanel,

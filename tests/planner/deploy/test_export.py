@@ -85,7 +85,7 @@ def test_the_manifest_describes_every_file(bundle: Path, bundle_config: Path):
     manifest = json.loads((bundle / "manifest.json").read_text())
     assert (bundle / "config.yaml").read_bytes() == bundle_config.read_bytes()
     assert manifest["architectures"] == [87] and manifest["warp"] == wp.config.version and manifest["format"] == 1
-    assert manifest["structure"]["sampling.samples"] == 128
+    assert manifest["structure"]["sampling.samples"] == PlannerConfig().sampling.samples
     files = {path.relative_to(bundle).as_posix(): path for path in bundle.rglob("*") if path.is_file()}
     assert manifest["files"].keys() == files.keys() - {"manifest.json"}
     for name, description in manifest["files"].items():

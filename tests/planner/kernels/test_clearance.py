@@ -154,7 +154,7 @@ def test_plans_stay_in_the_band_of_heights(device: str, side: float):
     """For a goal ahead and out of the band, the plan leads out of it only if there is none."""
     case = random_case(0, count=0, tilt=0.0)
     case.velocity, case.acceleration, case.goal = np.array([3.0, 0, 0]), np.zeros(3), case.beside(6, 0, 4.0 * side)
-    end, unlimited = float(case.position[2]) + side, config_of()
+    end, unlimited = float(case.position[2]) + 0.75 * side, config_of()
     limited = unlimited.replace({"costs.height_min" if side < 0.0 else "costs.height_max": end})
     farthest = []
     for config in (unlimited, limited):

@@ -105,7 +105,7 @@ def test_points_that_are_not_finite_are_dropped_and_counted(device: str, seed: i
 def test_points_outside_range_min_and_range_max_are_ignored(device: str):
     # Axis-aligned, so that the ranges are exact.
     points = np.array([[2.0, 0, 0], [0, 8.0, 0], [-1.75, 0, 0], [0, -8.25, 0]], np.float32)
-    config = config_of(partition__range_min=2.0, partition__range_max=8.0)
+    config = config_of(partition__range_min=2.0, partition__range_max=8.0, vehicle__speed_limit=5.0)
     case = random_case(0, count=0)
     case.position, case.quaternion, case.points = np.zeros(3), np.array([1.0, 0, 0, 0]), points
     plan = case.plan(Planner(config, device=device))
