@@ -16,7 +16,7 @@ from aero_planner.kernels.sweep_change import SweepChange
 
 wp.set_module_options({"enable_backward": False})
 
-SWEEPS = wp.constant(10)
+SWEEPS = wp.constant(20)
 """Newest sweeps that support the points of the newest one."""
 LISTED = wp.constant(8192)
 """Most near points of a sweep. One with more is full of surfaces; it is kept whole and supports nothing."""
@@ -27,8 +27,8 @@ _VOXEL = wp.constant(0.04)
 _NEAR = wp.constant(1.25)
 """Distance from the middle of the drone's way during the sweep within which points need support [m]."""
 _FAR = wp.constant(2.0)
-"""Distance from the drone at the end of a sweep beyond which its points are no rain [m]."""
-_SUPPORT = wp.constant(12.0)
+"""Distance within which points are listed, and from which they are no rain, seen from the end of their sweep [m]."""
+_SUPPORT = wp.constant(16.0)
 """Least number of points in 3 x 3 x 3 voxels, for a sweep of `_DENSITY` points."""
 _DENSITY = wp.constant(20000.0)
 _LEAST = wp.constant(4)
@@ -72,10 +72,10 @@ def cell_of(x: int, y: int, z: int) -> int:
 
 
 @wp.func
-def is_near(point: wp.vec3, middle: wp.vec3) -> bool:
-    """Return whether a point needs support; False for one that is not finite."""
+def is_within(distance: float, point: wp.vec3, middle: wp.vec3) -> bool:
+    """Return whether a point is nearer than a distance [m]; False for one that is not finite."""
     offset = point - middle
-    return wp.dot(offset, offset) < _NEAR * _NEAR
+    return wp.dot(offset, offset) < distance * distance
 
 
 @wp.func
@@ -118,7 +118,7 @@ def list_near(
     # out
     near: NearPoints,
 ):
-    """List the points of the sweep that arrives near the drone. Launched over [B, threads per sweep]."""
+    """List the points of the sweep that arrives within `_FAR`. Launched over [B, threads per sweep]."""
     b, thread = wp.tid()
     row = change[0].arrived
     if row < 0:
@@ -127,7 +127,7 @@ def list_near(
     middle = middle_of_sweep(b, change[0], cloud)
     for i in range(thread, cloud.count[b, row], threads):
         point = cloud.points[b, cloud.start[row] + i]
-        if is_near(point, middle):
+        if is_within(_FAR, point, middle):
             place = wp.atomic_add(near.near_count, b, slot, 1)
             if place < LISTED:
                 near.near_points[b, slot, place] = point
@@ -178,7 +178,7 @@ def count_far(
     enough = needed_support(cloud.count[b, row])
     for i in range(thread, cloud.count[b, sweep], threads):
         point = cloud.points[b, cloud.start[sweep] + i]
-        if is_near(point, middle) and wp.length(point - cloud.origin[b, sweep]) > _FAR:
+        if is_within(_NEAR, point, middle) and wp.length(point - cloud.origin[b, sweep]) > _FAR:
             voxel = voxel_of(point, middle)
             cell = cell_of(voxel[0], voxel[1], voxel[2])
             if cell >= 0:
@@ -204,7 +204,7 @@ def remove_stray(
     for i in range(thread, cloud.count[b, row], threads):
         index = cloud.start[row] + i
         point = cloud.points[b, index]
-        if is_near(point, middle):
+        if is_within(_NEAR, point, middle):
             voxel = voxel_of(point, middle)
             found = int(0)
             for k in range(27):

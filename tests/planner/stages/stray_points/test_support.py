@@ -10,7 +10,7 @@ from aero_planner import Goal, Plan, Planner, Sweeps, VehicleState
 from aero_planner.sweeps import Arrival
 from tests.planner.stages.sequence import config_with
 
-VOXEL, SIDE, NEAR, FAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 2.0, 12, 10
+VOXEL, SIDE, NEAR, FAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 2.0, 16, 20
 COUNT = 20_000
 """Points of a sweep, for which `SUPPORT` holds."""
 
@@ -54,8 +54,9 @@ def expected(sweeps: list[NDArray[np.float32]], positions: NDArray[np.float64]) 
     far = [np.zeros((0, 3))]
     for points, middle, position in zip(sweeps, middles, positions, strict=True):
         points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
-        near = np.linalg.norm(points - middle, axis=1) < NEAR
-        lists.append(points[near])
+        distance = np.linalg.norm(points - middle, axis=1)
+        near = distance < NEAR
+        lists.append(points[distance < FAR])
         grid = np.zeros((SIDE + 2,) * 3, int)
         for supporting, support in ((lists[-SWEEPS:], 1), (far, SUPPORT)):
             voxels = np.floor((np.concatenate(supporting) - middle) / VOXEL + SIDE / 2).astype(int)
@@ -87,7 +88,7 @@ def distance_to(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDA
 @pytest.mark.parametrize("speed", [0.0, 5.0])
 def test_the_points_that_remain_have_enough_neighbours(planner: Planner, speed: float):
     rng = np.random.default_rng(3)
-    positions = np.column_stack((0.1 * speed * np.arange(-11, 1), np.zeros((12, 2))))
+    positions = np.column_stack((0.1 * speed * np.arange(-23, 1), np.zeros((24, 2))))
     sweeps = [sweep(rain(rng, 500, place), wire(rng, 60)) for place in positions]
     kept = expected(sweeps, positions)
     shown = filtered(plan_of(planner, sweeps, positions))
