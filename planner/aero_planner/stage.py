@@ -45,7 +45,7 @@ class Stage:
     A stage that is not active records nothing and allocates nothing, and every plan is bit for bit as without it.
 
     Args:
-        name: its name in `aero_planner.registry`, that of its parameter section.
+        name: its name in `aero_planner.registry`, that of its parameter section if it has one.
         label: for people.
         arrays: dataclass that declares its device arrays, see `array_memory.array`; fields with `kept` are its state.
         outputs: dataclass that declares the arrays that are copied to the host with each plan.
