@@ -25,7 +25,7 @@ OFFERED: tuple[ParameterInfo, ...] = tuple(
 _LIVE = {
     StateNoise: _NAMES[StateNoise],
     VehicleModel: (*_NAMES[VehicleModel], "latency"),
-    LidarModel: ("range_noise", "dropout", "sweep_loss"),
+    LidarModel: ("range_noise", "dropout", "strays", "sweep_loss"),
 }
 LIVE: tuple[ParameterInfo, ...] = tuple(
     info for section, names in _LIVE.items() for info in section.parameters() if info.name in names

@@ -31,7 +31,7 @@ def pack_beams(model: LidarModel, *, first: LidarModel | None = None, salt: int 
     beams.elevation_min = math.radians(model.elevation_min)
     beams.elevation_max = math.radians(model.elevation_max)
     beams.height_min, beams.height_max = math.sin(beams.elevation_min), math.sin(beams.elevation_max)
-    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout"):
+    for name in ("points_per_sweep", "range_min", "range_max", "range_noise", "dropout", "strays", "stray_range"):
         setattr(beams, name, getattr(model, name))
     width = model.azimuth_max - model.azimuth_min
     is_turn = width >= 360.0 or model.pattern == "livox"

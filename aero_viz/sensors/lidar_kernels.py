@@ -47,6 +47,9 @@ class Beams:
     range_max: float
     range_noise: float
     dropout: float
+    strays: float
+    """Fraction of the rays that end in the air within the next, evenly distributed in a ball."""
+    stray_range: float
     rings: int
     """Number of rings; 0 for another pattern."""
     image_rows: int
@@ -191,14 +194,16 @@ def scan(with_triangles: bool) -> wp.Kernel:
             triangle = mesh_range(geometry.meshes[world[b]], origin, direction, beams.range_max)
         distance = ray_range(geometry, world[b], origin, direction, triangle, beams.range_max, time)
         point = wp.vec3(wp.nan, wp.nan, wp.nan)
+        chance = wp.rand_init(seed, index)
+        if beams.strays > 0.0 and wp.randf(chance) < beams.strays:
+            distance = wp.min(distance, beams.stray_range * wp.pow(wp.randf(chance), 1.0 / 3.0))
         if is_masked(beams, ray):
             distance = wp.inf
-        if lost[b] == 0 and distance <= beams.range_max and distance >= beams.range_min:
-            random = wp.rand_init(seed, index)
-            if wp.randf(random) >= beams.dropout:
-                in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(random)) * beam
-                place = wp.quat_rotate(attitude_at(estimated, b, share), in_body)
-                point = position_at(estimated, b, share) + place
+        is_in_range = distance <= beams.range_max and distance >= beams.range_min
+        if lost[b] == 0 and is_in_range and wp.randf(chance) >= beams.dropout:
+            in_body = beams.mount_position + (distance + beams.range_noise * wp.randn(chance)) * beam
+            place = wp.quat_rotate(attitude_at(estimated, b, share), in_body)
+            point = position_at(estimated, b, share) + place
         points[b, offset + i] = point
 
     return scan

@@ -49,6 +49,11 @@ class LidarModel(ParameterSection, section="lidar"):
     range_max: float = live(40.0, "m", 0.1, 1000.0, "Surfaces farther than this return no point.")
     range_noise: float = live(0.02, "m", 0.0, 10.0, "Standard deviation of the range.")
     dropout: float = live(0.02, "", 0.0, 1.0, "Fraction of the returns that are lost.")
+    strays: float = live(
+        0.0, "", 0.0, 1.0, "Fraction of the rays that end in the air within `stray_range`: at rain, dust or insects.",
+        label="Stray points",
+    )  # fmt: skip
+    stray_range: float = live(1.0, "m", 0.0, 100.0, "Radius of the ball that stray points fill evenly.")
     sweep_loss: float = live(0.0, "", 0.0, 1.0, "Fraction of the sweeps that are lost as a whole.", label="Lost sweeps")
     pattern: str = choice("even", ("livox", "even", "rings", "pinhole"), "Scan pattern.")
     rings: int = structural(64, 1, 1024, "Number of beams of the pattern 'rings', or of rows of the pattern 'pinhole'.")

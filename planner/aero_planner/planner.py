@@ -255,8 +255,8 @@ class Planner(Generic[_Plan]):
                 raise
             self._forget_sweeps()
         self._write_params(configs)
-        sections = ("partition", *self._structure.stages)
-        if any(getattr(configs[0], name) != getattr(before, name) for name in sections):
+        shown, shown_before = ((config.partition, *config.stage_sections) for config in (configs[0], before))
+        if shown != shown_before:
             self._forget_sweeps()  # they may show something else by other parameters
 
     @exclusive

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
 import sys
 from importlib import metadata
 from typing import Any, Literal, NamedTuple
@@ -36,9 +37,11 @@ STAGES = {
     "stop_proof": "aero_planner.stages.stop_proof",
     "disturbance": "aero_planner.stages.disturbance",
     "memory": "aero_planner.stages.memory",
+    "stray_points": "aero_planner.stages.stray_points",
 }
-"""Package of each stage, in the order in which stages act at one place of the pipeline. It has a module `parameters`
-with `Parameters`, a `ParameterSection` of the stage's name, and a module `stage` with `STAGE`, a `Stage`."""
+"""Package of each stage, in the order in which stages act at one place of the pipeline. It has a module `stage`
+with `STAGE`, a `Stage`, and, if it has parameters, a module `parameters` with `Parameters`, a `ParameterSection` of the
+stage's name."""
 
 MODELS = {"ctbr": "aero_planner.models.ctbr:CTBR", "acceleration": "aero_planner.models.acceleration:ACCELERATION"}
 """Module and name of each `VehicleModel`."""
@@ -97,7 +100,7 @@ def _problem(kind: Kind, place: str) -> str:
     try:
         part = find_attribute(place)
         if kind == "stages":
-            importlib.import_module(f"{part.__name__}.parameters")
+            _parameters_of(part.__name__)
     except (Exception, SystemExit) as error:  # whatever a brought module raises
         return " ".join(f"{type(error).__name__}: {error}".split()).rstrip(".")
     return ""
@@ -141,10 +144,16 @@ def load_stage(name: str) -> Any:
     return importlib.import_module(f"{load('stages', name).__name__}.stage").STAGE
 
 
+def _parameters_of(package: str) -> type[ParameterSection] | None:
+    """Return the parameter section of a stage, None if it has none."""
+    if importlib.util.find_spec(f"{package}.parameters") is None:
+        return None
+    return importlib.import_module(f"{package}.parameters").Parameters
+
+
 def added_sections() -> dict[str, type[ParameterSection]]:
     """Return the parameter sections of all stages, and of cost terms and models that bring one, by name."""
-    packages = [load("stages", name).__name__ for name in names("stages")]
-    stages = [importlib.import_module(f"{package}.parameters").Parameters for package in packages]
+    stages = [section for name in names("stages") if (section := _parameters_of(load("stages", name).__name__))]
     brought = [
         part.parameters
         for kind in ("cost_terms", "models")

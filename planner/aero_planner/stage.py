@@ -45,7 +45,7 @@ class Stage:
     A stage that is not active records nothing and allocates nothing, and every plan is bit for bit as without it.
 
     Args:
-        name: its name in `aero_planner.registry`, that of its parameter section.
+        name: its name in `aero_planner.registry`, that of its parameter section if it has one.
         label: for people.
         arrays: dataclass that declares its device arrays, see `array_memory.array`; fields with `kept` are its state.
         outputs: dataclass that declares the arrays that are copied to the host with each plan.
@@ -58,6 +58,7 @@ class Stage:
         terms: cost terms.
         stopping_rows: number of rows of candidates that it appends to those that stop.
         launches: by place of the pipeline, the function of a `Recorder` that records its launches there. The places:
+            "clean": a sweep arrives, before anything else reads it, to remove points of it;
             "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
             "start": after the state is predicted, before the anchors are placed;
             "beside": beside everything up to the first clearance query;

@@ -55,7 +55,7 @@ class Sweeps:
     """Sweeps in the world frame, oldest first, that `Planner.plan` takes as a cloud.
 
     A planner copies each sweep to its device once and recognises it in later objects, so that a plan after a new sweep
-    copies only that one. Unless something moves, the plan is the same as that of the joined cloud, bit for bit.
+    copies only that one. Unless something moves or is stray, the plan is that of the joined cloud, bit for bit.
 
     Args:
         sweeps: points [m], shape [n, 3] each. A read-only float32 array that owns its memory is used as it is, others

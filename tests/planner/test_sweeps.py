@@ -1,16 +1,25 @@
 """Sweeps that the planner remembers give the same plans as the joined cloud, bit for bit."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import warp as wp
 from numpy.typing import NDArray
 
-from aero_planner import Goal, Planner, Sweeps, VehicleState
-from tests.planner.cases import assert_same, batch_of, config_of, random_case
+from aero_planner import Goal, Planner, PlannerConfig, Sweeps, VehicleState, registry
+from tests.planner import cases
+from tests.planner.cases import assert_same, batch_of, random_case
 
 Cloud = NDArray[np.float32]
 STATE = VehicleState(np.zeros(3), np.zeros(3), (1.0, 0.0, 0.0, 0.0))
 GOAL = Goal((20.0, 0.0, 0.0))
+STAGES = ", ".join(name for name in registry.names("stages") if name != "stray_points")
+
+
+def config_of(preset: str = "default", **changes: Any) -> PlannerConfig:
+    """Return a small configuration that keeps stray points, which a joined cloud has as well."""
+    return cases.config_of(preset, **({"stages__active": STAGES} if preset == "default" else {}) | changes)
 
 
 def random_sweep(rng: np.random.Generator, position: NDArray[np.float64], count: int = 300) -> Cloud:

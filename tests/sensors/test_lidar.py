@@ -143,6 +143,17 @@ def test_dropout_loses_its_fraction_of_the_returns(shell):
     assert lost == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
 
 
+def test_stray_points_fill_a_ball_evenly_and_hide_what_lies_behind(shell):
+    model = exact(FULL_SPHERE, strays=0.25, stray_range=2.0)
+    ranges, clean = (np.linalg.norm(sweep(sensor, shell)[0], axis=1) for sensor in (model, exact(FULL_SPHERE)))
+    is_stray = ranges < 0.9 * clean
+    assert is_stray.mean() == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 20_000))
+    shares = np.histogram(ranges[is_stray], bins=2.0 * np.linspace(0.0, 1.0, 6) ** (1.0 / 3.0))[0] / is_stray.sum()
+    np.testing.assert_allclose(shares, 0.2, atol=0.03)
+    others = ~is_stray & np.isfinite(ranges)  # a few are nearer than the sensor measures
+    np.testing.assert_array_equal(ranges[others], clean[others])
+
+
 def test_range_limits_leave_nan():
     world = World("", np.zeros(3), np.ones(3), spheres=np.array([[3.0, 0, 0, 1.0]]))
     assert np.isfinite(sweep(exact(FULL_SPHERE), world)).any()

@@ -19,7 +19,8 @@ from aero_viz.session.source import SourceInfo
 
 _ENDS = {
     "noise.position": 0.5, "noise.velocity": 1.0, "noise.attitude": 5.0, "drone.drag": 1.0, "drone.gust_speed": 10.0,
-    "lidar.range_noise": 0.5, "lidar.dropout": 1.0, "lidar.sweep_loss": 1.0, "drone.latency": LATENCY_MAX,
+    "lidar.range_noise": 0.5, "lidar.dropout": 1.0, "lidar.strays": 0.1, "lidar.sweep_loss": 1.0,
+    "drone.latency": LATENCY_MAX,
 }  # fmt: skip
 """Upper ends of the sliders, in the unit of the parameter."""
 _DRAG = 0.3

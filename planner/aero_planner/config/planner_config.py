@@ -104,9 +104,13 @@ class PlannerConfig(DroneConfig):
         return self.candidates.prefer_safe
 
     @property
+    def stage_sections(self) -> list[Any]:
+        """The sections of the active stages that have parameters."""
+        return [getattr(self, name) for name in self.stages.names if name in self.sections()]
+
+    @property
     def sweep_memory(self) -> float:
-        sections = [getattr(self, name) for name in self.stages.names]
-        asked = [section.sweep_memory(self.vehicle.speed_limit) for section in sections]
+        asked = [section.sweep_memory(self.vehicle.speed_limit) for section in self.stage_sections]
         return max((time for time in asked if time is not None), default=SHORTEST_MEMORY)
 
     @classmethod

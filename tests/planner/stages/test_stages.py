@@ -155,7 +155,7 @@ def test_the_core_knows_no_stage(path: Path):
     for name, stage in STAGES.items():
         declared = [kind for kind in (stage.arrays, stage.outputs) if kind is not None]
         arrays = {array for kind in declared for array in array_specs(kind)}
-        parameters = {info.name for info in PlannerConfig.sections()[name].parameters()}
+        parameters = {info.name for info in PlannerConfig.parameters() if info.section == name}
         known = {f"config.{name}", f"views.{name}", f"self._config.{name}", f"hooks.{name}"}
         known |= {f"{owner}.{parameter}" for owner in ("c", "params", "params[b]") for parameter in parameters}
         known |= {f"{name}.{parameter}" for parameter in parameters} | arrays | (set(STAGES) - core)

@@ -1,0 +1,1 @@
+"""Stray points: rain, dust and insects near the sensor are no obstacles."""
