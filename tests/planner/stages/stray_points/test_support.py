@@ -1,6 +1,7 @@
 """Which points of a sweep are stray, against a count of neighbours in NumPy."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,32 +11,33 @@ from aero_planner import Goal, Plan, Planner, Sweeps, VehicleState
 from aero_planner.sweeps import Arrival
 from tests.planner.stages.sequence import config_with
 
+Array = NDArray[Any]
 VOXEL, SIDE, NEAR, FAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 2.0, 16, 20
 COUNT = 20_000
 """Points of a sweep, for which `SUPPORT` holds."""
 
 
-def rain(rng: np.random.Generator, count: int, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def rain(rng: np.random.Generator, count: int, place: Array) -> Array:
     """Return points in the air within a metre, [count, 3]."""
     directions = rng.normal(size=(count, 3))
     ranges = rng.uniform(0.1**3, 1.0, count) ** (1.0 / 3.0)
     return place + ranges[:, None] * directions / np.linalg.norm(directions, axis=1)[:, None]
 
 
-def wire(rng: np.random.Generator, count: int) -> NDArray[np.float64]:
+def wire(rng: np.random.Generator, count: int) -> Array:
     """Return points of a wire of 8 mm radius along y, 0.9 m ahead of the origin, [count, 3]."""
     return np.column_stack(
         (0.9 + rng.normal(0.0, 0.01, count), rng.uniform(-1.0, 1.0, count), rng.uniform(-0.008, 0.008, count))
     )
 
 
-def sweep(*parts: NDArray[np.float64]) -> NDArray[np.float32]:
+def sweep(*parts: Array) -> Array:
     """Return the parts and rays without return as one sweep of `COUNT` points."""
     points = np.concatenate(parts)
     return np.concatenate((points, np.full((COUNT - len(points), 3), np.nan))).astype(np.float32)
 
 
-def plan_of(planner: Planner, sweeps: list[NDArray[np.float32]], positions: NDArray[np.float64]) -> Plan:
+def plan_of(planner: Planner, sweeps: list[Array], positions: Array) -> Plan:
     """Return the plan at the last position, of sweeps that were complete at the positions, one after another."""
     memory, plan = Sweeps(), None
     for i, (points, position) in enumerate(zip(sweeps, positions, strict=True)):
@@ -46,11 +48,11 @@ def plan_of(planner: Planner, sweeps: list[NDArray[np.float32]], positions: NDAr
     return plan
 
 
-def expected(sweeps: list[NDArray[np.float32]], positions: NDArray[np.float64]) -> NDArray[np.float64]:
+def expected(sweeps: list[Array], positions: Array) -> Array:
     """Return the points that are kept of all sweeps, [n, 3]."""
     kept = []
     middles = [positions[0], *(0.5 * (before + after) for before, after in pairwise(positions))]
-    lists: list[NDArray[np.float64]] = []
+    lists: list[Array] = []
     far = [np.zeros((0, 3))]
     for points, middle, position in zip(sweeps, middles, positions, strict=True):
         points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
@@ -76,11 +78,11 @@ def planner(device: str) -> Planner:
     return Planner(config_with(("stray_points",)), device=device)
 
 
-def filtered(plan: Plan) -> NDArray[np.float64]:
+def filtered(plan: Plan) -> Array:
     return np.asarray(plan.filtered_points, dtype=np.float64)
 
 
-def distance_to(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def distance_to(points: Array, others: Array) -> Array:
     """Return the distance of each point to the nearest of others [m], infinite without others."""
     return np.linalg.norm(points[:, None] - others[None], axis=-1).min(axis=1, initial=np.inf)
 
