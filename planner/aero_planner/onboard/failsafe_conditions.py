@@ -65,6 +65,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,  # no fault without a fix before, where the age is NaN
     Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.CLOUD_DRIFTS: _cloud_drifts,
+    Cause.LINK_LATE: lambda i, lim: i.round_trip > lim.round_trip,  # one that is unknown (NaN) is no fault
     Cause.TRANSMITTER_LOST: lambda i, _: i.transmitter_lost,
     Cause.BATTERY_LOW: lambda i, _: i.battery_low,
     Cause.BELOW_FLOOR: lambda i, _: i.below_floor,

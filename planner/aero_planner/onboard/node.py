@@ -316,6 +316,7 @@ class Node:
             stopping=self._stopping,
             transmitter_lost=latest is not None and latest.transmitter is False,
             battery_low=latest is not None and latest.battery_low,
+            round_trip=math.nan if latest is None else latest.round_trip,
             supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
             clock_set=not self._is_signed or clock_is_set(),

@@ -236,6 +236,14 @@ class LimitSettings(ParameterSection, section="limits"):
         3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",
         label="Heartbeat timeout",
     )  # fmt: skip
+    round_trip: float = live(
+        0.2, "s", 0.05, 5.0, "Time from a request to the autopilot to its answer above which the drone brakes: "
+        "commands arrive too late to control it by body rates.", label="Maximum round trip of the link",
+    )  # fmt: skip
+    round_trip_time: float = live(
+        1.0, "s", 0.5, 10.0, "Time of the round trips, ten per second, whose median counts.",
+        label="Time of the round trips",
+    )  # fmt: skip
     deadline: float = live(
         0.1, "s", 0.02, 1.0, "Time without a tick of the control loop after which the watchdog brakes in its place.",
         label="Control loop deadline",
