@@ -116,7 +116,7 @@ class Inputs:
     round_trip: float = math.nan
     """Time from a request to the autopilot to its answer [s]; NaN if it is not measured."""
     seen_disarmed: bool = True
-    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next five fields."""
+    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next six fields."""
     state_time: float = 0.0
     """Time since the present state was entered [s]."""
     fault_time: float = 0.0
@@ -127,6 +127,8 @@ class Inputs:
     """True if ESTIMATE_POOR applied at the previous tick."""
     cloud_drifted: bool = False
     """True if CLOUD_DRIFTS applied at the previous tick."""
+    link_was_late: bool = False
+    """True if LINK_LATE applied at the previous tick."""
 
 
 class Cause(enum.Enum):

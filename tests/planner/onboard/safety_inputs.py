@@ -58,6 +58,7 @@ def is_well(inputs: Inputs) -> bool:
     is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
     reserves = not inputs.transmitter_lost and not inputs.battery_low
     is_late = inputs.round_trip > LIMITS.round_trip
+    is_late = is_late or (inputs.link_was_late and not inputs.round_trip <= 0.7 * LIMITS.round_trip)
     return reserves and not is_late and fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
 
 
