@@ -1,5 +1,7 @@
 """What the wheels of both distributions hold."""
 
+import email
+import re
 import shutil
 import subprocess
 import sys
@@ -29,6 +31,15 @@ def test_the_recordings_ship_with_the_wheel(tmp_path: Path):
     with build("aero_viz", "wheel", tmp_path) as wheel:
         names = set(wheel.namelist())
     assert {"aero_viz/datasets/forest_mid360.mcap", "aero_viz/datasets/room_mid360.mcap", "aero_viz/py.typed"} <= names
+
+
+@pytest.mark.parametrize("place", ["docs/onboard.md", "planner/docker/Dockerfile"])
+def test_what_is_installed_on_the_drone_is_an_extra_of_the_wheel(tmp_path: Path, place: str):
+    with build("aero_planner", "wheel", tmp_path) as wheel:
+        (name,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+        metadata = email.message_from_bytes(wheel.read(name))
+    (installed,) = re.findall(r"aero_planner-\*\.whl\)\[(.+)\]", (ROOT / place).read_text(encoding="utf-8"))
+    assert {"mavlink", "log"} <= set(installed.split(",")) <= set(metadata.get_all("Provides-Extra", []))
 
 
 @pytest.mark.parametrize("package", DISTRIBUTIONS)

@@ -292,6 +292,8 @@ class SimulatedAutopilot:
                 self._handle_setpoint(message)
             elif name == "COMMAND_LONG":
                 self._handle_command(message)
+            elif name == "TIMESYNC" and message.tc1 == 0:
+                self._send(self._dialect.MAVLink_timesync_message(int(1e9 * (_BOOT_TIME + self._now)), message.ts1))
             elif name == "PARAM_REQUEST_READ":
                 self._send_parameter(str(message.param_id))
             elif name in PILOT_MESSAGES:

@@ -227,8 +227,8 @@ class Px4Autopilot:
             self._receive_from_px4(timeout=0.1)
             if clock() > end:
                 missing = "a position" if self._tracker.home is None else "the origin of its estimator"
-                raise UserError(
-                    f"PX4 does not report {missing} within {_TRUTH_TIME:g} s: is this PX4's own simulation (SIH)?"
+                raise self._px4.failure(
+                    f"PX4 does not report {missing} within {_TRUTH_TIME:g} s; is this PX4's own simulation (SIH)?"
                 )
 
     def _fly_until(self, end: float) -> None:
@@ -241,7 +241,7 @@ class Px4Autopilot:
             self._receive_from_px4(timeout=0.01)
             self._px4.check()
             if time.monotonic() > limit:
-                raise UserError(f"PX4's simulated time has not advanced for {_PAUSE_LIMIT:g} s.")
+                raise self._px4.failure(f"PX4's simulated time has not advanced for {_PAUSE_LIMIT:g} s")
         self._px4.pause()
 
     def _receive_from_px4(self, timeout: float = 0.0) -> None:

@@ -91,21 +91,25 @@ class Px4Process:
         return self.speed * time.monotonic()
 
     def check(self) -> None:
-        """Raise UserError if the process has ended; the message quotes its last line and names a copy of all of them.
-
-        The copy stays: where PX4's start-up script fails, the reason is often far above the last line.
-        """
+        """Raise UserError, see `failure`, if the process has ended."""
         code = self._process.poll()
-        if code is None:
-            return
+        if code is not None:
+            raise self.failure(f"PX4 has ended with exit code {code}")
+
+    def failure(self, what: str) -> UserError:
+        """Return an error that quotes the last line that PX4 has written, and names a copy of all of them.
+
+        The copy stays: where PX4's start-up script fails, the reason is often far above the last line, and PX4 may run
+        on without what the script should have started.
+        """
         lines = self.log()
         if not lines:
-            raise UserError(f"PX4 has ended with exit code {code}: it wrote nothing")
+            return UserError(f"{what}: it wrote nothing")
         if self._kept is None:
             with tempfile.NamedTemporaryFile("w", prefix="aero-px4-", suffix=".txt", delete=False) as file:
                 file.write("\n".join([*lines, ""]))
             self._kept = file.name
-        raise UserError(f"PX4 has ended with exit code {code}: {lines[-1]} (all that it wrote: {self._kept})")
+        return UserError(f"{what}: {lines[-1]} (all that it wrote: {self._kept})")
 
     def log(self) -> list[str]:
         """Return the lines that PX4 has written so far."""

@@ -57,7 +57,7 @@ def set_parameters(
         result = write_parameters(link, changes, clock=clock)
         if result.unconfirmed:
             reason = f": {result.refusal}" if result.refusal else ""
-            raise UserError(f"PX4 did not accept {', '.join(result.unconfirmed)}{reason}.")
+            raise px4.failure(f"PX4 did not accept {', '.join(result.unconfirmed)}{reason}")
     return changes
 
 
@@ -66,6 +66,6 @@ def _wait(px4: Px4Process, link: MavlinkLink, condition: Callable[[], bool], wha
     while not condition():
         px4.check()
         if px4.clock() > end:
-            raise UserError(f"PX4 {what} within {_START_TIME:g} s.")
+            raise px4.failure(f"PX4 {what} within {_START_TIME:g} s")
         time.sleep(_POLL_PERIOD)
         link.poll()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from aero_planner import Planner, PlannerConfig
-from aero_planner.onboard.failsafe_table import State
+from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.ground_tracker import GroundSource
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.flight import FlightRules
@@ -148,6 +148,32 @@ def test_a_velocity_that_begins_to_err_in_flight_brakes_within_a_second(planner:
         assert rig.speed < 0.35 and not rig.collided
         rig.run(3.0)
         assert rig.node.state is State.HANDED_BACK and not rig.collided
+
+
+def make_late(rig: LockstepRig, delay: float) -> None:
+    for channel in (rig.autopilot.to_companion, rig.autopilot.from_companion):
+        channel.faults["delay"] = delay
+
+
+def test_a_drone_whose_link_becomes_late_brakes_within_the_stated_time_and_is_handed_back(planner: Planner):
+    with LockstepRig(planner, avenue(), seed=1, lidar=QUARTER) as rig:
+        at_full_speed(rig)
+        make_late(rig, 0.11)
+        rig.run(LIMITS.round_trip_time + 0.1)
+        assert any(change.cause is Cause.LINK_LATE for change in rig.node.changes)
+        lowest = rig.autopilot.position[2]
+        while rig.autopilot.mode is Mode.OFFBOARD:
+            rig.run(0.02)
+            lowest = min(lowest, rig.autopilot.position[2])
+            assert rig.now < 40.0 and not rig.collided
+        assert lowest > 2.0 - 1.2
+
+
+def test_on_a_link_that_is_late_from_the_start_nothing_is_ready(planner: Planner):
+    with LockstepRig(planner, avenue(), seed=1, lidar=QUARTER) as rig:
+        make_late(rig, 0.11)
+        assert not rig.take_over(6.0)
+        assert Cause.LINK_LATE in rig.node.safety.missing()
 
 
 @pytest.mark.parametrize("reserve", ["transmitter", "battery"])

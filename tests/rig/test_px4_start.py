@@ -1,5 +1,7 @@
 """The start of a flight with PX4, against a program that speaks like it."""
 
+import os
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +21,12 @@ from tests.rig.test_px4 import program
 VEHICLE, ONBOARD = PlannerConfig().vehicle, OnboardConfig()
 LIKE_PX4 = Path(__file__).parent / "px4_like.py"
 LOCKSTEP, REAL_TIME = 0.25, 1.0
+
+
+@pytest.fixture
+def lame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A PX4 whose simulator does not start."""
+    monkeypatch.setenv("SIMULATOR_FAILS", "1")
 
 
 @pytest.fixture
@@ -45,6 +53,20 @@ def test_parameters_are_set_and_the_origin_is_found_however_slow_the_heartbeats_
         np.testing.assert_allclose(autopilot.local(np.array([1.0, 2.0, 0.0])), [0.0, 0.0, 0.5], atol=1e-6)
     finally:
         autopilot.close()
+
+
+@pytest.mark.parametrize("px4", [REAL_TIME], indirect=True, ids=["real time"])
+def test_what_px4_wrote_is_kept_where_it_runs_on_without_a_part(
+    lame: None, px4: Px4Process, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("aero_viz.rig.px4_autopilot._TRUTH_TIME", 0.5)
+    set_parameters(px4, ONBOARD, VEHICLE, {})
+    with pytest.raises(UserError, match="does not report a position") as caught:
+        Px4Autopilot(px4, (HOST, 9), origin=np.zeros(3), heading=0.0, thrust=thrust_model(ONBOARD, VEHICLE))
+    px4.close()
+    match = re.search(r"all that it wrote: (.*)\)", str(caught.value))
+    assert match is not None and "simulator_sih" in Path(match[1]).read_text()
+    os.remove(match[1])
 
 
 @pytest.mark.parametrize("px4", [LOCKSTEP], indirect=True, ids=["lockstep"])

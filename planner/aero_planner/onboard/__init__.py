@@ -9,8 +9,8 @@
 - Measured by the LiDAR: the ground height (`ground_tracker`, `ground_plane`), and how far the autopilot's estimate
   drifts (`drift_monitor`, `cloud_drift`).
 - Autopilot: `mavlink`, `mavlink_state`, `mavlink_sender`, `mavlink_parser`, `mavlink_signing`, `transport`,
-  `datagram_filter`, `frames`, `thrust`, `thrust_estimate`, `estimator_reset`.
+  `datagram_filter`, `round_trips`, `frames`, `thrust`, `thrust_estimate`, `estimator_reset`.
 - Observers: `flight_log`, `ros_messages`, `telemetry`, `telemetry_protocol`, `stderr`.
 - Programs: `run`, `preflight`, `input_checks`, `px4_parameters`, `bundle_export`, `connections`, `settings`,
-  `flight_config`, `lag_identification`.
+  `agreement`, `flight_config`, `lag_identification`.
 """

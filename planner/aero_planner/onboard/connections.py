@@ -72,6 +72,7 @@ def open_link(
             system=settings.system,
             component=settings.component,
             state_rate=settings.state_rate,
+            round_trip_time=config.limits.round_trip_time,
             goal_senders=goal_senders,
             key=key,
             memory=memory,

@@ -22,7 +22,7 @@ from aero_planner.onboard.settings import LimitSettings
 from aero_planner.plan import PlanStatus
 
 _RELEASE = 0.7
-"""Fraction of a limit below which a poor or drifting estimate counts as good again."""
+"""Fraction of a limit below which a poor or drifting estimate, or a late link, counts as good again."""
 
 
 def _exceeds(age: float, limit: float) -> bool:
@@ -51,6 +51,16 @@ def _cloud_drifts(inputs: Inputs, limits: LimitSettings) -> bool:
     return inputs.drift_angle > scale * angle or inputs.drift_speed > scale * limits.drift_speed
 
 
+def _link_is_late(inputs: Inputs, limits: LimitSettings) -> bool:
+    """Return True if the round trip exceeds its limit; one that is unknown (NaN) does not. Releases as above.
+
+    A link that was late must be measured again.
+    """
+    if inputs.link_was_late:
+        return not inputs.round_trip <= _RELEASE * limits.round_trip
+    return inputs.round_trip > limits.round_trip
+
+
 _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.UNSUPPORTED: lambda i, _: not i.supported,
     Cause.TAKEN_OVER: lambda i, _: not (i.armed and i.offboard),
@@ -65,6 +75,7 @@ _CONDITIONS: dict[Cause, Callable[[Inputs, LimitSettings], bool]] = {
     Cause.FIX_LOST: lambda i, lim: i.fix_age > lim.fix_age,  # no fault without a fix before, where the age is NaN
     Cause.ESTIMATE_POOR: _estimate_is_poor,
     Cause.CLOUD_DRIFTS: _cloud_drifts,
+    Cause.LINK_LATE: _link_is_late,
     Cause.TRANSMITTER_LOST: lambda i, _: i.transmitter_lost,
     Cause.BATTERY_LOW: lambda i, _: i.battery_low,
     Cause.BELOW_FLOOR: lambda i, _: i.below_floor,

@@ -8,6 +8,7 @@ diagram and the failsafe table in the documentation and the tests that explore t
 from __future__ import annotations
 
 import enum
+import math
 from dataclasses import dataclass
 
 from aero_planner.plan import PlanStatus
@@ -112,8 +113,10 @@ class Inputs:
     """True if the autopilot no longer hears the pilot's transmitter."""
     battery_low: bool = False
     """True if the autopilot has warned of a low battery."""
+    round_trip: float = math.nan
+    """Time from a request to the autopilot to its answer [s]; NaN if it is not measured."""
     seen_disarmed: bool = True
-    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next five fields."""
+    """True once the vehicle has been seen disarmed. `SafetyMachine` fills in this and the next six fields."""
     state_time: float = 0.0
     """Time since the present state was entered [s]."""
     fault_time: float = 0.0
@@ -124,6 +127,8 @@ class Inputs:
     """True if ESTIMATE_POOR applied at the previous tick."""
     cloud_drifted: bool = False
     """True if CLOUD_DRIFTS applied at the previous tick."""
+    link_was_late: bool = False
+    """True if LINK_LATE applied at the previous tick."""
 
 
 class Cause(enum.Enum):
@@ -136,6 +141,7 @@ class Cause(enum.Enum):
     ENGAGED = "the pilot switched to OFFBOARD"
     NOT_ENGAGED = "the pilot has not switched to OFFBOARD"
     LINK_LOST = "no heartbeat from the autopilot"
+    LINK_LATE = "the link to the autopilot is late: a round trip exceeds limits.round_trip"
     STATE_STALE = "no vehicle state from the autopilot"
     STATE_NOT_FINITE = "the vehicle state contains NaN or infinity"
     FIX_LOST = "the autopilot's GNSS receiver has lost its fix"
@@ -169,8 +175,9 @@ class Cause(enum.Enum):
 
 FAULTS = (
     Cause.LINK_LOST, Cause.STATE_STALE, Cause.STATE_NOT_FINITE, Cause.FIX_LOST, Cause.ESTIMATE_POOR,
-    Cause.CLOUD_DRIFTS, Cause.TRANSMITTER_LOST, Cause.BATTERY_LOW, Cause.BELOW_FLOOR, Cause.OUTSIDE_FENCE,
-    Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE, Cause.PLAN_UNSAFE,
+    Cause.CLOUD_DRIFTS, Cause.LINK_LATE, Cause.TRANSMITTER_LOST, Cause.BATTERY_LOW, Cause.BELOW_FLOOR,
+    Cause.OUTSIDE_FENCE, Cause.LOOP_STALLED, Cause.CLOUD_STALE, Cause.PLAN_NOT_FINITE, Cause.PLAN_STALE,
+    Cause.PLAN_UNSAFE,
 )  # fmt: skip
 """Causes that prevent flying a plan, the most severe first."""
 
@@ -209,6 +216,7 @@ DETECTION: dict[Cause, tuple[str, ...]] = {
     Cause.FIX_LOST: ("limits.fix_age",),
     Cause.ESTIMATE_POOR: (),
     Cause.CLOUD_DRIFTS: ("limits.drift_time",),
+    Cause.LINK_LATE: ("limits.round_trip_time",),
     Cause.TRANSMITTER_LOST: (),
     Cause.BATTERY_LOW: (),
     Cause.BELOW_FLOOR: (),

@@ -9,7 +9,8 @@ from pathlib import Path
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import ONBOARD, ConfigFile, config_from_name, format_sections
 from aero_planner.config.yaml_entries import Entry
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.agreement import check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.parameters import ContradictionError
 
 FlightConfig = tuple[PlannerConfig, OnboardConfig]

@@ -9,6 +9,8 @@ from collections import deque
 
 import numpy as np
 
+from aero_planner.onboard.interfaces import VehicleSample
+
 _log = logging.getLogger(__name__)
 
 _WINDOW = 5.0  # [s] of measurements that count
@@ -50,6 +52,13 @@ class GroundTracker:
         self.source = GroundSource.ASSUMED
         self._logged = math.nan
         self._measurements: dict[str, deque[tuple[float, float]]] = {name: deque() for name in _MIN_MEASUREMENTS}
+
+    def add_sample(self, sample: VehicleSample, previous: VehicleSample | None = None) -> None:
+        """Add what a sample of the vehicle tells: where it stands, or a range that `previous` does not have yet."""
+        if sample.in_air is False and not sample.armed:
+            self.add_standing(float(np.asarray(sample.state.position)[2]))
+        elif previous is None or sample.ground_height != previous.ground_height:
+            self.add_range(sample.time, sample.ground_height)
 
     def add_standing(self, height: float) -> None:
         """Add the height of a drone that stands on the ground, disarmed [m]."""

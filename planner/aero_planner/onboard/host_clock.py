@@ -32,12 +32,13 @@ class HostClock:
         self._restart(math.nan, -math.inf, 0.0)
         self._misfits = 0
 
-    def to_host(self, stamp: float, arrival: float) -> float | None:
+    def to_host(self, stamp: float, arrival: float, *, max_offset: float = math.inf) -> float | None:
         """Return the host time of a stamp [s]; None if the stamp is rejected.
 
         Args:
             stamp: Time by the device's clock [s].
             arrival: When the message was received, host time [s].
+            max_offset: Largest offset between the clocks, where it is known otherwise [s].
         """
         if not (math.isfinite(stamp) and math.isfinite(arrival)):
             self.rejected += 1
@@ -58,7 +59,7 @@ class HostClock:
         elif arrival - self._began > self._window:
             self._previous, self._current, self._began = self._current, delta, arrival
         self._current = min(self._current, delta)
-        return stamp + min(self._current, self._previous)
+        return stamp + min(self._current, self._previous, max_offset)
 
     def _restart(self, delta: float, stamp: float, arrival: float) -> None:
         self._current, self._previous = delta, math.inf

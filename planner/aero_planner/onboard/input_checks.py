@@ -105,6 +105,7 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
             ok=heartbeat_age <= limits.heartbeat_age,
             advice="Check mavlink.system and the cable.",
         ),
+        _check_round_trip(sample, limits.round_trip),
         Check(
             "vehicle mode",
             mode,
@@ -116,6 +117,15 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
         _check_fix(sample, now, onboard),
         *_check_reserves(sample),
     ]
+
+
+def _check_round_trip(sample: VehicleSample, limit: float) -> Check:
+    name, round_trip = "round trip", sample.round_trip
+    if math.isnan(round_trip):
+        advice = "A late link is not noticed: let the autopilot answer TIMESYNC, and set mavlink.state_rate above 0."
+        return Check(name, "not measured", ok=False, required=False, advice=advice)
+    advice = f"At most {1e3 * limit:g} ms are accepted (limits.round_trip): use a faster link, and one without buffers."
+    return Check(name, f"{1e3 * round_trip:.0f} ms to the autopilot and back", ok=round_trip <= limit, advice=advice)
 
 
 def _check_landed_state(sample: VehicleSample) -> Check:

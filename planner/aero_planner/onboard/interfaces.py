@@ -100,6 +100,8 @@ class VehicleSample:
     """True if the autopilot hears the pilot's transmitter, False if it does no longer; None if it never did."""
     battery_low: bool = False
     """True if the autopilot has warned of a low battery."""
+    round_trip: float = math.nan
+    """Time from a request to the autopilot to its answer, median of the last moments [s]; NaN if none is measured."""
 
 
 class CommandSink(Protocol):

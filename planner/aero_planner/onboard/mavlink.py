@@ -4,8 +4,8 @@ The first autopilot with the system id of the settings is the only one from then
 ignored, except for goals from the senders that the settings name. A goal comes from SET_POSITION_TARGET_LOCAL_NED
 addressed to this component. `aero_planner.onboard.mavlink_state` tells where the state comes from.
 
-Besides commands (`MavlinkSender`), only a heartbeat per second and requests for messages and parameters are sent, and
-in preflight changes of parameters: nothing here can arm the vehicle or switch its mode.
+Besides commands (`MavlinkSender`), only a heartbeat per second, TIMESYNC, and requests for messages and parameters are
+sent, and in preflight changes of parameters: nothing here can arm the vehicle or switch its mode.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ class MavlinkLink(MavlinkSender):
         system: System id of the autopilot and of this computer.
         component: Component id of this computer.
         state_rate: ODOMETRY messages per second that are requested from the autopilot; 0 requests no messages.
+        round_trip_time: See `StateReceiver`.
         goal_senders: System id and address of each sender of goals; None for the address stands for the autopilot's
             connection.
         key: Key of the signatures, 32 bytes; messages without a valid one are ignored. None accepts all.
@@ -90,6 +91,7 @@ class MavlinkLink(MavlinkSender):
         system: int = 1,
         component: int = 191,
         state_rate: float = 100.0,
+        round_trip_time: float = 1.0,
         goal_senders: Collection[tuple[int, str | None]] | None = None,
         key: bytes | None = None,
         memory: SigningMemory | None = None,
@@ -120,7 +122,7 @@ class MavlinkLink(MavlinkSender):
         self.ignored: dict[str, int] = {}
         self.parameters: dict[str, float] = {}
         self._integers: set[str] = set()
-        self._receiver, self._place = StateReceiver(clock), place
+        self._receiver, self._place = StateReceiver(clock, round_trip_time), place
         self.dropped = self._receiver.dropped  # goals as well as states
         self._heartbeat_sent = self._requested = self._mode_requested = -np.inf
         self._arrived: dict[str, int] = {}  # number of usable messages since the last request, by name
@@ -160,6 +162,7 @@ class MavlinkLink(MavlinkSender):
         try:
             self._receive()
             self._request_mode()
+            self._request_time()
             now = self._time()
             if now - self._heartbeat_sent >= 1.0:
                 self._heartbeat_sent = now
@@ -224,6 +227,12 @@ class MavlinkLink(MavlinkSender):
             self._mode_requested = now
             command = d.MAV_COMP_ID_AUTOPILOT1, d.MAV_CMD_REQUEST_MESSAGE, 0
             self.send_message(d.MAVLink_command_long_message(self._system, *command, *[0.0] * 7))
+
+    def _request_time(self) -> None:
+        if self._state_rate > 0.0 and self._receiver.kind is not None:
+            requested = self._receiver.round_trips.request(self._time())
+            if requested is not None:
+                self.send_message(self._dialect.MAVLink_timesync_message(0, requested))
 
     def _request_missing_messages(self) -> None:
         now = self._time()

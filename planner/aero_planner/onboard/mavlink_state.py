@@ -7,7 +7,8 @@ covariances of ODOMETRY tell how uncertain the state is; the other two messages 
 
 HEARTBEAT tells what the vehicle is and whether it is armed and in OFFBOARD, EXTENDED_SYS_STATE whether it is in the
 air, GPS_RAW_INT whether GNSS has a fix, SYS_STATUS whether the pilot's transmitter is heard, BATTERY_STATUS whether a
-battery is low. A DISTANCE_SENSOR that looks down measures the height of the ground.
+battery is low. A DISTANCE_SENSOR that looks down measures the height of the ground. Answers to TIMESYNC tell how late
+all of these are.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from aero_planner.onboard.frames import attitude_from_ned, world_from_ned
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.interfaces import VehicleSample
 from aero_planner.onboard.mavlink_sender import load_dialect
+from aero_planner.onboard.round_trips import RoundTrips
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import integrate_rates, rotate
 
@@ -57,8 +59,10 @@ class StateReceiver:
 
     Args:
         clock: Host time [s].
+        round_trip_time: Time over which round trips are measured [s].
 
     Attributes:
+        round_trips: What TIMESYNC has measured.
         sample: The newest sample; None before the first state. Heartbeats update its flags between two states.
         kind: What the vehicle says it is, such as "PX4 QUADROTOR"; None before its first heartbeat.
         supported: False once it has said that it is anything but a PX4 that flies a multicopter. It stays so, with
@@ -68,11 +72,12 @@ class StateReceiver:
 
     MESSAGES = (
         "HEARTBEAT", "ODOMETRY", "ATTITUDE_QUATERNION", "LOCAL_POSITION_NED", "EXTENDED_SYS_STATE", "DISTANCE_SENSOR",
-        "GPS_RAW_INT", "SYS_STATUS", "BATTERY_STATUS", "COMMAND_ACK",
+        "GPS_RAW_INT", "SYS_STATUS", "BATTERY_STATUS", "COMMAND_ACK", "TIMESYNC",
     )  # fmt: skip
     """Names of the messages that `process` takes."""
 
-    def __init__(self, clock: Callable[[], float]) -> None:
+    def __init__(self, clock: Callable[[], float], round_trip_time: float = 1.0) -> None:
+        self.round_trips = RoundTrips(round_trip_time)
         self.sample: VehicleSample | None = None
         self.kind: str | None = None
         self.supported = True
@@ -90,6 +95,7 @@ class StateReceiver:
             "SYS_STATUS": self._process_system_status,
             "BATTERY_STATUS": self._process_battery,
             "COMMAND_ACK": self._process_acknowledgement,
+            "TIMESYNC": self._process_round_trip,
         }
         self._mode_changed = np.inf  # when a change of the mode was accepted that no heartbeat has named yet
         self._mode_commands = _mode_commands(self._dialect)
@@ -136,6 +142,11 @@ class StateReceiver:
         if message.command in self._mode_commands and message.result == self._dialect.MAV_RESULT_ACCEPTED:
             self._mode_changed = min(self._mode_changed, self._time())
         return True
+
+    def _process_round_trip(self, message: Any) -> bool:
+        is_answer = self.round_trips.answer(message.tc1, message.ts1, self._time())
+        self._update_flags()
+        return is_answer
 
     def _identify(self, message: Any) -> None:
         autopilot = _enum_name(self._dialect, "MAV_AUTOPILOT", message.autopilot)
@@ -203,7 +214,7 @@ class StateReceiver:
             return self._drop(f"ODOMETRY that is not finite or beyond {COORDINATE_LIMIT:g}")
         if body:
             velocity = rotate(attitude, velocity)
-        time = self._clocks["ODOMETRY"].to_host(1e-6 * message.time_usec, arrival)
+        time = self._host_time("ODOMETRY", 1e-6 * message.time_usec, arrival)
         origin = "ODOMETRY", message.frame_id, message.reset_counter
         stds = _largest_std(message.pose_covariance), _largest_std(message.velocity_covariance)
         if self._set_state(origin, time, [message.x, message.y, message.z], velocity, attitude, stds):
@@ -229,7 +240,7 @@ class StateReceiver:
         attitude_stamp, attitude, rates = self._attitude
         if abs(stamp - attitude_stamp) > _PAIR_TIMEOUT:
             return False
-        time = self._clocks["LOCAL_POSITION_NED"].to_host(stamp, arrival)
+        time = self._host_time("LOCAL_POSITION_NED", stamp, arrival)
         position = np.array([message.x, message.y, message.z])
         velocity = np.array([message.vx, message.vy, message.vz])
         attitude = integrate_rates(attitude, rates, stamp - attitude_stamp)
@@ -241,6 +252,9 @@ class StateReceiver:
             self._estimate, self._detected_resets = estimate, resets
             return True
         return False
+
+    def _host_time(self, name: str, stamp: float, arrival: float) -> float | None:
+        return self._clocks[name].to_host(stamp, arrival, max_offset=self.round_trips.max_offset(arrival))
 
     def _set_state(
         self,
@@ -280,7 +294,7 @@ class StateReceiver:
             self._ground_height if self._time() - self._range_time <= _RANGE_TIMEOUT else math.nan,
             self.supported,
             None if self._transmitter_time is None else self._time() - self._transmitter_time <= _TRANSMITTER_TIMEOUT,
-            bool(self._low_batteries),
+            bool(self._low_batteries), self.round_trips.median(self._time()),
         )  # fmt: skip
 
     def _update_flags(self) -> None:

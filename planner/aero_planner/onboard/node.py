@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.command_choice import Command, CommandChoice
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
 from aero_planner.onboard.disturbance_estimate import DisturbanceEstimate
@@ -35,7 +36,7 @@ from aero_planner.onboard.plan_schedule import PlanSchedule
 from aero_planner.onboard.readiness_log import ReadinessLog
 from aero_planner.onboard.replanner import ControlSnapshot, Replanner
 from aero_planner.onboard.safety_machine import SafetyMachine, StateChange
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopCommand, StopController
 from aero_planner.onboard.thrust_estimate import ThrustEstimate
 from aero_planner.onboard.tuning import Tuning
@@ -115,14 +116,9 @@ class Node:
         self._drift = DriftMonitor(config.limits.drift_time)
         self._drift_correction = DriftCorrection()
         self._watchdog = Watchdog(
-            link,
-            self._stop_controller,
-            self._vehicle,
-            period=self._period,
-            deadline=config.limits.deadline,
-            blind_time=config.limits.blind_time,
-            response=config.response,
-        )
+            link, self._stop_controller, self._vehicle, period=self._period, deadline=config.limits.deadline,
+            blind_time=config.limits.blind_time, response=config.response,
+        )  # fmt: skip
         self._readiness = ReadinessLog()
         self.snapshot: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
@@ -162,16 +158,12 @@ class Node:
 
     def statistics(self) -> dict[str, Any]:
         """Return figures on deadlines, failures and losses, as plain values."""
-        plans = 1e3 * np.array(self._replanner.durations)
         counters = self._lidar.counters
         return {
             "state": self.state.name,
             "control": self._loops["control"].statistics.summary(),
             "planning": self._loops["planning"].statistics.summary(),
-            "plans": len(plans),
-            "plan_median_ms": float(np.median(plans)) if len(plans) else None,
-            "plan_p99_ms": float(np.quantile(plans, 0.99)) if len(plans) else None,
-            "planner_failures": self._replanner.failures,
+            **self._replanner.statistics(),
             "control_failures": self.failures,
             "watchdog_interventions": self._watchdog.interventions,
             "failsafe_interventions": self._failsafe.interventions if self._failsafe is not None else None,
@@ -181,7 +173,6 @@ class Node:
             "lidar_lost": counters.lost,
             "lidar_bad": counters.bad,
             "messages_ignored": sum(self._link.ignored.values()),
-            "points_dropped": self._replanner.dropped_points,
             "thrust_gain": self._thrust.gain,
             "ground_height": self.ground.height,
             "ground_source": self.ground.source.name,
@@ -222,8 +213,7 @@ class Node:
         # Last, so that a flood of packets delays no command.
         self._read_points()
         if self.state is State.WAITING:
-            reasons = [cause.value for cause in self.safety.missing()]
-            self._readiness.update(now, reasons if self.goal is not None else ["there is no goal", *reasons])
+            self._readiness.update(now, self.safety.missing(), has_goal=self.goal is not None)
         if self._stopping and self.state not in (*COMMANDING, *MAYBE_COMMANDING):
             self._fell_silent.set()
         return reaction
@@ -279,16 +269,10 @@ class Node:
         elif sample is not None and previous is not None and sample.time == previous.time:
             self._sample = sample  # another message has changed its flags
         if self._sample is not None and self._sample is not previous:
-            self._track_ground(self._sample, previous)
+            self.ground.add_sample(self._sample, previous)
+            if (height := self._replanner.take_ground_height(self._sample.resets)) is not None:
+                self.ground.add_cloud(self._sample.time, height)
         self._goals.update(self._link.goal, ground=self.ground.known_height)
-
-    def _track_ground(self, sample: VehicleSample, previous: VehicleSample | None) -> None:
-        if sample.in_air is False and not sample.armed:
-            self.ground.add_standing(float(np.asarray(sample.state.position)[2]))
-        elif previous is None or sample.ground_height != previous.ground_height:
-            self.ground.add_range(sample.time, sample.ground_height)
-        if (height := self._replanner.take_ground_height(sample.resets)) is not None:
-            self.ground.add_cloud(sample.time, height)
 
     def _read_points(self) -> None:
         for packet in self._lidar.poll():
@@ -332,6 +316,7 @@ class Node:
             stopping=self._stopping,
             transmitter_lost=latest is not None and latest.transmitter is False,
             battery_low=latest is not None and latest.battery_low,
+            round_trip=math.nan if latest is None else latest.round_trip,
             supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
             clock_set=not self._is_signed or clock_is_set(),

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from aero_planner.check_report import Check, CheckReport
 from aero_planner.config import PlannerConfig
 from aero_planner.deploy.bundle import Bundle
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.connections import is_loopback, open_lidar, open_link, ros_inputs, thrust_model
 from aero_planner.onboard.failsafe_process import FailsafeProcess
 from aero_planner.onboard.input_checks import check_inputs
@@ -32,7 +33,7 @@ from aero_planner.onboard.px4_parameters import (
     read_parameters,
     write_parameters,
 )
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import listen
 from aero_planner.onboard.tuning_limits import tunable_parameters
 from aero_planner.sweeps import sweeps_within

@@ -6,6 +6,8 @@ import logging
 import math
 from collections.abc import Sequence
 
+from aero_planner.onboard.failsafe_table import Cause
+
 _log = logging.getLogger(__name__)
 
 _SETTLING_TIME = 1.0
@@ -20,10 +22,11 @@ class ReadinessLog:
         self._since = math.inf
         self._logged: tuple[str, ...] = ()
 
-    def update(self, now: float, reasons: Sequence[str]) -> None:
-        """Log the reasons at the time `now` [s] if they are new and have settled; there may be none."""
-        if tuple(reasons) != self._reasons:
-            self._reasons, self._since = tuple(reasons), now
+    def update(self, now: float, missing: Sequence[Cause], *, has_goal: bool) -> None:
+        """Log what is missing at the time `now` [s] if it is new and has settled; that may be nothing."""
+        reasons = (*(() if has_goal else ("there is no goal",)), *(cause.value for cause in missing))
+        if reasons != self._reasons:
+            self._reasons, self._since = reasons, now
         if self._reasons != self._logged and now - self._since >= _SETTLING_TIME:
             self._logged = self._reasons
             if self._reasons:

@@ -88,8 +88,6 @@ class Replanner:
         clock: Host time [s].
 
     Attributes:
-        failures: Number of calls of the planner that raised, or whose plan was not finite.
-        durations: Durations of the last calls [s].
         is_finite: True if the newest plan was finite.
     """
 
@@ -97,8 +95,8 @@ class Replanner:
         self, planner: Planner, config: OnboardConfig, schedule: PlanSchedule, clock: Callable[[], float]
     ) -> None:
         self._planner = planner
-        self.failures = 0
-        self.durations: deque[float] = deque(maxlen=10_000)
+        self._failures = 0  # calls of the planner that raised, or whose plan was not finite
+        self._durations: deque[float] = deque(maxlen=10_000)  # of the last calls [s]
         self.is_finite = True
         # So that no plan has to wait for larger buffers.
         lidar = config.lidar
@@ -124,10 +122,16 @@ class Replanner:
         self._next_error_log = -np.inf
         self._number = 0
 
-    @property
-    def dropped_points(self) -> int:
-        """Number of points that could not be placed in the cloud."""
-        return self._sweeps.dropped
+    def statistics(self) -> dict[str, float | None]:
+        """Return figures on plans and failures, and the number of points that could not be placed in the cloud."""
+        plans = 1e3 * np.array(self._durations)
+        return {
+            "plans": len(plans),
+            "plan_median_ms": float(np.median(plans)) if len(plans) else None,
+            "plan_p99_ms": float(np.quantile(plans, 0.99)) if len(plans) else None,
+            "planner_failures": self._failures,
+            "points_dropped": self._sweeps.dropped,
+        }
 
     def add_arrival(self, arrival: VehicleSample | PointPacket) -> None:
         """Add a state or points for the next plan."""
@@ -184,7 +188,7 @@ class Replanner:
             self._count_failure(f"the planner failed: {error}")
             return None
         duration = self._clock() - start
-        self.durations.append(duration)
+        self._durations.append(duration)
         # Rises at once and falls slowly: a plan that is ready too early waits, one that is late skips its start.
         self._latency = min(max(duration, 0.9 * self._latency + 0.1 * duration), self._max_latency)
         controls = np.asarray(plan.command, dtype=np.float64)
@@ -255,12 +259,12 @@ class Replanner:
         return measured[1:] if measured is not None and measured[0] == resets else None
 
     def _count_failure(self, message: str) -> None:
-        self.failures += 1
+        self._failures += 1
         # Logged at most once per second, because every plan may fail.
         now = self._clock()
         if now >= self._next_error_log:
             self._next_error_log = now + 1.0
-            _log.error("%s (%d failures so far)", message, self.failures)
+            _log.error("%s (%d failures so far)", message, self._failures)
 
     def _process_arrivals(self) -> None:
         while self._arrivals:

@@ -93,6 +93,7 @@ class SafetyMachine:
             goal_new=inputs.goal_number != self._reached_goal,
             estimate_was_poor=Cause.ESTIMATE_POOR in self.active_faults(),
             cloud_drifted=Cause.CLOUD_DRIFTS in self.active_faults(),
+            link_was_late=Cause.LINK_LATE in self.active_faults(),
         )
         target, cause = next_state(self.state, self.inputs, self._limits)
         self.must_end_level = target is not self.state and self._must_end_level(self.state, target, inputs)

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from aero_planner.config import PlannerConfig
 from aero_planner.onboard.address_patterns import ADDRESS, ANY_ADDRESS, CONNECTION, GOAL_SENDER, KEY_FILE, TOPIC
-from aero_planner.onboard.tuning_limits import TUNING_LIMITS, check_limits
+from aero_planner.onboard.tuning_limits import TUNING_LIMITS
 from aero_planner.parameters import (
     ContradictionError,
     ParameterSection,
@@ -237,6 +236,14 @@ class LimitSettings(ParameterSection, section="limits"):
         3.0, "s", 0.2, 10.0, "Time without a heartbeat after which the link counts as lost; PX4 sends one per second.",
         label="Heartbeat timeout",
     )  # fmt: skip
+    round_trip: float = live(
+        0.2, "s", 0.05, 5.0, "Time from a request to the autopilot to its answer above which the drone brakes: "
+        "commands arrive too late to control it by body rates.", label="Maximum round trip of the link",
+    )  # fmt: skip
+    round_trip_time: float = live(
+        1.0, "s", 0.5, 10.0, "Time of the round trips, ten per second, whose median counts.",
+        label="Time of the round trips",
+    )  # fmt: skip
     deadline: float = live(
         0.1, "s", 0.02, 1.0, "Time without a tick of the control loop after which the watchdog brakes in its place.",
         label="Control loop deadline",
@@ -384,26 +391,3 @@ class OnboardConfig(SectionedConfig):
                 f"be at least {2.0 / self.rates.control:g} s.",
                 "limits.deadline", "rates.control",
             )  # fmt: skip
-
-
-def check_together(planner: PlannerConfig, onboard: OnboardConfig) -> None:
-    """Raise `ContradictionError`, a ValueError, if the configurations of planner and node contradict each other."""
-    vehicle = planner.vehicle
-    if vehicle.model != "ctbr":
-        raise ContradictionError(
-            f"vehicle.model is {vehicle.model}; the node commands thrust and body rates, so it must be ctbr.",
-            "vehicle.model",
-        )
-    if onboard.limits.plan_age >= planner.horizon:
-        raise ContradictionError(
-            f"limits.plan_age is {onboard.limits.plan_age}; it must be less than the planner's horizon, "
-            f"sampling.steps x sampling.dt = {planner.horizon:g} s.",
-            "limits.plan_age", "sampling.steps", "sampling.dt",
-        )  # fmt: skip
-    if vehicle.thrust_max <= vehicle.mass * vehicle.gravity:
-        raise ContradictionError(
-            f"vehicle.thrust_max is {vehicle.thrust_max} N; it must exceed the weight of "
-            f"{vehicle.mass * vehicle.gravity:.2f} N, vehicle.mass x vehicle.gravity, or the drone can't fly.",
-            "vehicle.thrust_max", "vehicle.mass", "vehicle.gravity",
-        )  # fmt: skip
-    check_limits(planner, onboard.tuning.limits)

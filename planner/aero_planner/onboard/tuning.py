@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from aero_planner.config import PlannerConfig
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.interfaces import ConfigChange, Observation, Observer, VehicleSample
 from aero_planner.onboard.safety_machine import StateChange
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.tuning_limits import check_changes, tunable_parameters
 
 _log = logging.getLogger(__name__)

@@ -69,15 +69,18 @@ class RosLink(SimulatedLink):
         self.odometry = RosOdometry(StateSettings(), LEVEL, self.stamps, lambda: simulation.now)
         self.lost = np.zeros(3)
         """What the odometry is wrong by [m], shape [3]."""
+        self.variance = 1e-4
+        self.odometry_alive = True
         self._due = -np.inf
         self._computed: list[tuple[float, Any]] = []
 
     def poll(self) -> None:
         super().poll()
         motion, now = self._simulation.motion, self._simulation.now
-        if now >= self._due:
+        if now >= self._due and self.odometry_alive:
             self._due = now + self.period
-            given = odometry_message(motion.time, motion.position + self.lost, motion.quaternion, variance=1e-4)
+            place = motion.position + self.lost
+            given = odometry_message(motion.time, place, motion.quaternion, variance=self.variance)
             self._computed.append((now + self.delay, given))
         while self._computed and self._computed[0][0] <= now:
             self.odometry.receive(self._computed.pop(0)[1])

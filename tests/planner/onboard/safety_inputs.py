@@ -4,7 +4,7 @@ import dataclasses
 import math
 
 from aero_planner import PlanStatus
-from aero_planner.onboard.failsafe_conditions import cause_applies, find_faults
+from aero_planner.onboard.failsafe_conditions import cause_applies, find_faults, next_state
 from aero_planner.onboard.failsafe_table import (
     COMMANDING,
     MAYBE_COMMANDING,
@@ -57,12 +57,14 @@ def is_well(inputs: Inputs) -> bool:
     drifts = drifts or (inputs.cloud_drifted and inputs.armed and inputs.offboard and math.isnan(inputs.drift_speed))
     is_fixed = math.isnan(inputs.fix_age) or inputs.fix_age <= LIMITS.fix_age
     reserves = not inputs.transmitter_lost and not inputs.battery_low
-    return reserves and fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
+    is_late = inputs.round_trip > LIMITS.round_trip
+    is_late = is_late or (inputs.link_was_late and not inputs.round_trip <= 0.7 * LIMITS.round_trip)
+    return reserves and not is_late and fresh and right and is_fixed and not poor and not drifts and not inputs.stopping
 
 
 def may_begin_to_fly(inputs: Inputs) -> bool:
     """Return True if every condition of READY is met, by a definition independent of the machine's."""
-    return is_well(inputs) and inputs.in_air is True and inputs.guarded and inputs.supported
+    return is_well(inputs) and inputs.in_air is True and inputs.guarded and inputs.supported and inputs.clock_set
 
 
 def check_one_step(state: State, inputs: Inputs, target: State) -> None:
@@ -87,6 +89,10 @@ def check_one_step(state: State, inputs: Inputs, target: State) -> None:
     assert (reaction is Reaction.BRAKE_AS_PLANNED) == (target is State.BRAKING and only_unsafe)
     if target is State.READY or (target is State.FLYING and target is not state):
         assert may_begin_to_fly(inputs)
+    if target is State.FLYING and state is not State.FLYING:
+        # What the machine itself requires of a drone that the pilot still flies is required again.
+        before = dataclasses.replace(inputs, armed=False, offboard=False)
+        assert next_state(State.WAITING, before, LIMITS)[0] is State.READY
     if target is State.FLYING and state in (State.BRAKING, State.HOLDING):
         assert inputs.fault_time <= LIMITS.brake_time + LIMITS.hold_time
     if target is State.READY:

@@ -69,6 +69,7 @@ class SimulatedLink:
         self.supported, self.transmitter, self.battery_low = True, True, False
         self.position_std, self.velocity_std = 0.2, 0.05
         self.fix_age = 0.1
+        self.round_trip = 0.02
         self.ground_height = math.nan
         self.alive = True
         """False if nothing arrives from the vehicle."""
@@ -97,7 +98,7 @@ class SimulatedLink:
         self.state = VehicleSample(
             time, state, *self._mode, self._heartbeat, self.resets, self.in_air,
             self.position_std, self.velocity_std, now - self.fix_age, self.ground_height, self.supported,
-            self.transmitter, self.battery_low,
+            self.transmitter, self.battery_low, self.round_trip,
         )  # fmt: skip
 
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:

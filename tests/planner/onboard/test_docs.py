@@ -4,10 +4,11 @@ import re
 from pathlib import Path
 
 from aero_planner import PlannerConfig
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.flight_config import load_flight_config
 from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.px4_parameters import parameter_names
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 
 DOCS = Path(__file__).parents[3] / "docs"
 GUIDE = DOCS.joinpath("onboard.md").read_text(encoding="utf-8")

@@ -29,6 +29,9 @@ DOCS = Path(__file__).parents[3] / "docs" / "onboard_safety.md"
 # Faults, and the inputs that they change. Ages are just beyond their limit, NaN, or far beyond the limit.
 BREAKS: dict[str, dict[str, object]] = {
     "link": {"heartbeat_age": LIMITS.heartbeat_age + 0.1},
+    "link late": {"round_trip": LIMITS.round_trip + 0.01},
+    "link still late": {"round_trip": 0.9 * LIMITS.round_trip, "link_was_late": True},
+    "link no longer measured": {"link_was_late": True},
     "link gone": {"heartbeat_age": math.inf},
     "state": {"state_age": LIMITS.state_age + 0.01},
     "state gone": {"state_age": LIMITS.state_age + LIMITS.blind_time + 0.01},

@@ -93,7 +93,8 @@ def test_only_commands_heartbeats_and_requests_for_states_are_sent(link, autopil
                 break
             for message in messages:
                 seen.setdefault(message.get_type(), []).append(message)
-    assert set(seen) == {"SET_ATTITUDE_TARGET", "HEARTBEAT", "COMMAND_LONG"}
+    assert set(seen) == {"SET_ATTITUDE_TARGET", "HEARTBEAT", "COMMAND_LONG", "TIMESYNC"}
+    assert all(message.tc1 == 0 for message in seen["TIMESYNC"])
     requests = {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAV_CMD_REQUEST_MESSAGE}
     assert {m.command for m in seen["COMMAND_LONG"]} == requests
     assert {m.type for m in seen["HEARTBEAT"]} == {mavlink.MAV_TYPE_ONBOARD_CONTROLLER}

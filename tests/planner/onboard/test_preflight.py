@@ -39,9 +39,9 @@ def test_a_drone_in_order_passes(drone: Simulation):
     checks = run_checks(drone, goal=(18.0, 0.0, 2.0))
     assert all(check.ok for check in checks.values()), checks
     assert set(checks) == {
-        "vehicle state", "heartbeat", "vehicle mode", "landed state", "position uncertainty", "velocity uncertainty",
-        "GNSS fix", "transmitter", "LiDAR", "cloud", "packets", "deskewing", "cloud against itself", "ground",
-        "position", "goal",
+        "vehicle state", "heartbeat", "round trip", "vehicle mode", "landed state", "position uncertainty",
+        "velocity uncertainty", "GNSS fix", "transmitter", "LiDAR", "cloud", "packets", "deskewing",
+        "cloud against itself", "ground", "position", "goal",
     }  # fmt: skip
     assert "disarmed, not in OFFBOARD" in checks["vehicle mode"].finding
     assert not drone.link.sent  # nothing is commanded
@@ -90,6 +90,19 @@ def test_a_lost_gnss_fix_fails_and_one_that_never_was_is_a_warning(
 ):
     drone.link.fix_age = age
     check = run_checks(drone)["GNSS fix"]
+    assert (check.finding, check.ok, check.required) == (finding, is_ok, is_required)
+
+
+@pytest.mark.parametrize(
+    ("round_trip", "finding", "is_ok", "is_required"),
+    [(0.013, "13 ms to the autopilot and back", True, True), (0.3, "300 ms to the autopilot and back", False, True),
+     (math.nan, "not measured", False, False)],
+)  # fmt: skip
+def test_a_late_link_fails_and_one_that_is_not_measured_is_a_warning(
+    drone: Simulation, round_trip: float, finding: str, is_ok: bool, is_required: bool
+):
+    drone.link.round_trip = round_trip
+    check = run_checks(drone)["round trip"]
     assert (check.finding, check.ok, check.required) == (finding, is_ok, is_required)
 
 

@@ -9,8 +9,9 @@ from hypothesis import settings as hypothesis_settings
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import format_config
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.flight_config import format_onboard, load_any, load_flight_config, load_onboard
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.parameters import ParameterInfo
 from tests.planner.config_cases import configs, write
 

@@ -12,11 +12,12 @@ from mcap.reader import make_reader
 from aero_planner import Planner, PlannerConfig, VehicleState
 from aero_planner.config.file import ConfigFile
 from aero_planner.config.yaml_entries import parse_entries
+from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.failsafe_table import Cause, State
 from aero_planner.onboard.flight_log import FlightLog
 from aero_planner.onboard.interfaces import ConfigChange, Observation, Observer, VehicleSample
 from aero_planner.onboard.safety_machine import StateChange
-from aero_planner.onboard.settings import OnboardConfig, check_together
+from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.tuning import AGE_MAX, Request, Tuning
 from aero_planner.onboard.tuning_limits import tunable_parameters
 from tests.planner.onboard.simulated import CORRIDOR, GOAL, SMALL, Clock, Relay, Simulation, poles
