@@ -101,8 +101,7 @@ def test_points_keep_their_size_in_the_world(room):
     def width(distance: float) -> float:
         eye = point + distance * np.array([-1.0, 0.0, 0.0])
         image = room.render(eye, point, width=600, height=600)[..., :3].astype(int)
-        pieces = np.empty(image.shape[:2], int)
-        label(np.abs(image - palette.ANCHOR).max(axis=-1) <= 40, output=pieces)
+        pieces: np.ndarray = label(np.abs(image - palette.ANCHOR).max(axis=-1) <= 40)[0]  # type: ignore[index]
         return 2.0 * np.sqrt((pieces == pieces[300, 300]).sum() / np.pi) if pieces[300, 300] else 0.0
 
     room.wait_for(lambda: width(1.0) > 10.0, "the anchor")
