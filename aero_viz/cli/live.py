@@ -116,7 +116,7 @@ def live(
             from aero_viz.ros.feed import Feed
             from aero_viz.ros.graph import Graph
 
-            graph = stack.enter_context(Graph(domain=domain))
+            graph = stack.enter_context(Graph("aero_viz_live", domain=domain))
             if list_topics:
                 _wait(lambda: graph.topics(), 3.0)
                 return print_report(_GraphReport(graph.topics()), as_json=json)
