@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import time
 from collections import Counter, deque
@@ -38,13 +39,15 @@ class TopicHealth:
         self.count = 0
         """Number of messages."""
         self.unused: Counter[str] = Counter()
-        """Number of messages that could not be used, by reason."""
+        """Number of messages that could not be used, by reason; reasons that differ in their numbers count as one."""
         self.missing = 0
         """Number of messages that are missing, judged by the gaps between stamps."""
         self.behind = 0
         """Number of messages with a stamp that is not later than the one before."""
         self.publishers: tuple[str, ...] = ()
         """Names of the nodes that publish it, where they are known."""
+        self._reasons: dict[str, str] = {}
+        """First reason of each kind."""
         self._seen: dict[str, int] = {}
         """Number of messages when each kind of trouble was last seen."""
         self._arrivals: deque[int] = deque(maxlen=_WINDOW)
@@ -71,6 +74,7 @@ class TopicHealth:
 
     def refuse(self, reason: str) -> None:
         """Count a message that cannot be used, for a reason that completes "It cannot be used because ..."."""
+        reason = self._reasons.setdefault(re.sub(r"\d+", "0", reason), reason)
         self.unused[reason] += 1
         self._note(reason)
 

@@ -213,11 +213,12 @@ class StreamSource:
             else:
                 pose = decode_poses(message.data, message.type, "cdr")[0]
                 goal = np.array(pose.values[:3])
+            is_on_ground = message.type == GOAL_TYPES[0] and goal[2] == 0.0
+            goal = checked_goal(goal - self.setup.offset)
         except DamagedMessage as error:
             return health.refuse(str(error))
-        if not np.isfinite(goal).all():
+        except UserError:
             return health.refuse("its position is not valid")
-        goal -= self.setup.offset
-        if message.type == GOAL_TYPES[0] and goal[2] == 0.0 and self._newest > -np.inf:
+        if is_on_ground and self._newest > -np.inf:
             goal[2] = np.asarray(self._tick.state.position)[2]
         self._goal = goal

@@ -49,6 +49,25 @@ def test_the_picture_is_held_while_ticks_go_on(corridor: Corridor, open_session:
     assert following[0].epoch != shown[-1].epoch  # the page redraws its history
 
 
+def test_a_tick_that_fails_leaves_the_picture_and_the_ticks_to_come(
+    corridor: Corridor, open_session: Open, monkeypatch: pytest.MonkeyPatch
+):
+    session = open_session()
+    frames = ticks_of(session, corridor, 4)
+    session.seek(frames[1].time).result()
+    held = session.frame
+
+    def fail() -> None:
+        raise ValueError("out of memory")
+
+    with monkeypatch.context() as broken, pytest.raises(ValueError, match="out of memory"):
+        broken.setattr(session.stream_source, "observe", fail)
+        ticks_of(session, corridor, 1)
+    assert session.frame is held and ticks_of(session, corridor, 1)[0].index == 4
+    session.configure({"costs.q_position": 9.0})
+    assert session.frame.index == 1 and session.frame.time == frames[1].time
+
+
 def test_a_past_tick_is_planned_again_with_other_weights(corridor: Corridor, open_session: Open):
     session = open_session()
     frames = ticks_of(session, corridor, 4)
