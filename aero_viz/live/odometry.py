@@ -8,7 +8,7 @@ from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import ODOMETRY
 from aero_planner.quaternions import quaternion_of_matrix
 from aero_viz.live.stream import LiveMessage, Stream
-from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
 from aero_viz.recordings.odometry import KissIcp, RkoLio, level_of, time_in_sweep
@@ -30,16 +30,20 @@ class OnlineOdometry:
     Args:
         stream: the stream.
         method: "kiss-icp" or "rko-lio", which needs an IMU and a time per point.
-        points: topic of the clouds; None is the first one.
+        points: topic of the clouds.
         imu: topic of the IMU; None is the first one. The sensor and its IMU are taken for one.
+
+    Attributes:
+        missing: what the registration waits for, as a sentence; empty if for nothing.
 
     Raises:
         UserError: the library is not installed.
     """
 
-    def __init__(self, stream: Stream, method: str, *, points: str | None = None, imu: str | None = None) -> None:
+    def __init__(self, stream: Stream, method: str, *, points: str, imu: str | None = None) -> None:
         self._stream, self._method = stream, method
         self._points, self._imu = points, imu
+        self.missing = ""
         self._register: KissIcp | RkoLio | None = None
         if method == "kiss-icp":
             self._register = KissIcp(np.eye(4))
@@ -55,10 +59,8 @@ class OnlineOdometry:
         return self._clouds.dropped
 
     def _listen(self, message: LiveMessage) -> None:
-        if message.type in CLOUD_TYPES:
-            self._points = self._points or message.topic
-            if message.topic == self._points:
-                self._clouds.put(message)
+        if message.topic == self._points:
+            self._clouds.put(message)
         elif message.type == IMU_TYPE and self._method == "rko-lio":
             self._imu = self._imu or message.topic
             if message.topic == self._imu:
@@ -100,8 +102,14 @@ class OnlineOdometry:
 
     def _make_rko(self, sweep: PointSweep) -> RkoLio | None:
         """Return the registration, None while there is no IMU or no time per point."""
-        if not self._samples or sweep.point_times is None or self._start is None:
+        assert self._start is not None
+        if sweep.point_times is None:
+            self.missing = f"rko-lio needs a time for each point, which {self._points} does not give: take kiss-icp."
             return None
+        if not self._samples:
+            self.missing = f"rko-lio needs an IMU, and nothing arrives from {self._imu or 'any'}: take kiss-icp."
+            return None
+        self.missing = ""
         level = level_of(_as_samples(self._samples), IDENTITY, self._start)
         self._register = register = RkoLio(None, IDENTITY, level, self._start)
         return register

@@ -111,6 +111,10 @@ class Graph:
         infos = self._publishers(topic)
         return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
 
+    def types(self, topic: str) -> set[str]:
+        """Return the types in which somebody else publishes a topic."""
+        return {info.topic_type for info in self._publishers(topic)}
+
     def quality(self, topic: str, type_name: str) -> Quality | None:
         """Return what a subscription may ask for so that every publisher of a topic reaches it; None without any."""
         from rclpy.qos import DurabilityPolicy, ReliabilityPolicy

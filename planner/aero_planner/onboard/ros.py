@@ -130,7 +130,8 @@ class NodeParameters:
         current: Callable[[], tuple[Sequence[ParameterInfo], Mapping[str, Value]]],
         ask: Callable[[Mapping[str, Any]], None],
     ) -> None:
-        from rclpy.clock import Clock, ClockType
+        # Humble has no rclpy.clock_type.
+        from rclpy.clock import Clock, ClockType  # pyright: ignore[reportPrivateImportUsage]
 
         self._node, self._current, self._ask = node, current, ask
         self._declared: dict[str, ParameterInfo] = {}

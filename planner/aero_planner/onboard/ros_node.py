@@ -83,7 +83,7 @@ class RosNode:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
 
-        options = {"start_parameter_services": parameters, "enable_rosout": False}
+        options: Any = {"start_parameter_services": parameters, "enable_rosout": False}
         try:
             self.node: Any = Node(name, context=context, namespace=namespace, **options)
         except Exception as error:  # as in `open_context`
