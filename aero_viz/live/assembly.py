@@ -107,7 +107,9 @@ class Assembler:
         """Take a message of the topics that are used; others are ignored."""
         setup, health = self.setup, self._stream.topics[message.topic]
         try:
-            if message.topic == setup.points and message.type == setup.points_type:
+            if message.topic == setup.points:
+                if message.type != setup.points_type:
+                    raise DamagedMessage(f"it is {message.type} now: start aero-viz live again")
                 self._add_cloud(message, health)
             elif message.topic == setup.poses:
                 self._add_poses(message, health)

@@ -72,6 +72,13 @@ def test_bytes_that_are_no_cloud_are_counted(corridor: Corridor):
     assert sum(corridor.stream.topics["/odometry"].unused.values()) == 1
 
 
+def test_a_driver_that_returns_with_another_type_is_said(corridor: Corridor):
+    source = source_of(corridor)
+    corridor.stream.add("/points", "livox_ros_driver2/msg/CustomMsg", bytes(100))
+    source.advance()
+    assert "it is livox_ros_driver2/msg/CustomMsg now: start aero-viz live again" in (source.explanation or "")
+
+
 def test_reasons_that_differ_in_numbers_count_as_one(corridor: Corridor):
     source = source_of(corridor)
     for count in (1000, 1001, 1002):

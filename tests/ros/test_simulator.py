@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -147,6 +148,24 @@ def test_a_velocity_is_in_the_frame_of_its_header(frame: str, expected: list[flo
     assert control[3] == 0.4
     _, control = READERS["geometry_msgs/msg/Twist"](twist, NOW, lambda stamp: None).control(NOW)
     np.testing.assert_allclose(control[:3] / gain, [-1.0, 1.0, 0.0], atol=1e-6)
+
+
+def test_a_trajectory_of_one_point_is_a_setpoint_that_moves_on():
+    moving = SimpleNamespace(linear=vector(1.0, 0.0, 0.0))
+    point = SimpleNamespace(
+        transforms=[SimpleNamespace(translation=vector(1.0, 0.0, 2.0))], velocities=[moving], accelerations=[],
+        time_from_start=SimpleNamespace(sec=0, nanosec=0),
+    )  # fmt: skip
+    message = SimpleNamespace(header=SimpleNamespace(stamp=None), points=[point])
+    setpoint = READERS["trajectory_msgs/msg/MultiDOFJointTrajectory"](message, NOW, lambda stamp: None)
+    _, control = setpoint.control(NOW)
+    assert control == pytest.approx([Following().position_gain, 0.0, 0.0, 0.0])
+    _, later = setpoint.control(replace(NOW, time=NOW.time + 0.25))
+    assert later == pytest.approx([1.25 * Following().position_gain, 0.0, 0.0, 0.0])
+    point.velocities = []
+    assert READERS["trajectory_msgs/msg/MultiDOFJointTrajectory"](message, NOW, lambda stamp: None).path(
+        NOW, np.array([0.0, 1.0])
+    ) == pytest.approx(np.array([[1.0, 0.0, 2.0]] * 2))
 
 
 def test_a_path_without_times_is_flown_at_the_speed_limit_and_stops_at_its_end():
