@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import json
+import re
 import signal
 import subprocess
 import sys
@@ -25,6 +27,8 @@ from aero_viz.ros.graph import Graph
 from aero_viz.ros.simulator import RosConfig
 from aero_viz.scenes import World
 from aero_viz.session import Session
+from tests.cli.programs import interrupt, read_line
+from tests.dashboard.page_client import CAMERA, join, read_until, send
 from tests.ros.conftest import Start
 from tests.ros.test_publishing import Peer
 
@@ -80,6 +84,19 @@ def test_a_benchmark_counts_its_flights(
     run_json(capsys, "bench", "worlds", str(Path(open_world).parent), *arguments)
     with open(tmp_path / "out" / "flights.csv", newline="") as file:
         assert [row["reason"] for row in csv.DictReader(file)] == ["arrived"]
+
+
+def test_the_page_shows_the_flight_and_its_result_is_printed(start: Start, open_world: str):
+    start("tests.ros.commander", STAMPED)
+    command = [sys.executable, "-m", "aero_viz", "sim", open_world, "--ros", "--json", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (address := re.search(r" at http://(\S+)", read_line(process))):
+            assert process.poll() is None
+        with join(url=f"ws://{address[1]}") as visitor:
+            send(visitor, **CAMERA)  # the flight begins
+            read_until(visitor, "arrived")
+            assert json.loads(read_line(process))["reason"] == "arrived"
+        interrupt(process)
 
 
 def test_while_nobody_commands_the_drone_all_that_it_sees_is_published_and_then_it_says_what_is_missing(
