@@ -159,6 +159,8 @@ def live(
 
 def _goal(words: tuple[str, ...]) -> tuple[tuple[float, ...] | None, str]:
     """Return the place [m] of a goal, if one is given, and the topic that it follows from then on."""
+    from aero_viz.recordings.source import checked_goal
+
     if not words:
         return None, _GOAL_TOPIC
     if len(words) == 1 and words[0].startswith("/"):
@@ -169,6 +171,7 @@ def _goal(words: tuple[str, ...]) -> tuple[tuple[float, ...] | None, str]:
         place = ()
     if len(place) != 3:
         raise UserError(f"--goal is a topic, such as {_GOAL_TOPIC}, or three numbers x y z [m], not {' '.join(words)}.")
+    checked_goal(place)
     return place, _GOAL_TOPIC
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+
 import numpy as np
 
 from aero_planner.mailbox import Mailbox
@@ -51,7 +54,13 @@ class OnlineOdometry:
         self._last = -np.inf
         self._start: int | None = None
         self._clouds: Mailbox[LiveMessage] = Mailbox(self._take, capacity=_LATE, name="aero-viz-odometry")
-        self._end = stream.listen(self._listen)
+        # Of the clouds that have arrived, only the newest one: the poses begin now.
+        newest: deque[LiveMessage] = deque(maxlen=1)
+        self._put: Callable[[LiveMessage], object] = newest.append
+        self._end = stream.listen(self._listen, from_kept=True)
+        self._put = self._clouds.put
+        for message in newest:
+            self._put(message)
 
     @property
     def dropped(self) -> int:
@@ -60,7 +69,7 @@ class OnlineOdometry:
 
     def _listen(self, message: LiveMessage) -> None:
         if message.topic == self._points:
-            self._clouds.put(message)
+            self._put(message)
         elif message.type == IMU_TYPE and self._method == "rko-lio":
             self._imu = self._imu or message.topic
             if message.topic == self._imu:
