@@ -23,11 +23,13 @@ _RECENT = 10.0
 
 
 def header_stamp(data: bytes, type_name: str) -> int:
-    """Return the stamp in the header of a CDR message [ns], zero where it is unset or the message too short."""
-    start = 8 if type_name in TF_TYPES else 4
-    if len(data) < start + 8:
+    """Return the stamp in the header of a CDR message [ns], zero where it is unset or the message too short.
+
+    It is zero for TF, too: its many publishers have times of their own, which do not follow one another.
+    """
+    if type_name in TF_TYPES or len(data) < 12:
         return 0
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, start)
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
     return seconds * 10**9 + nanoseconds
 
 
@@ -119,7 +121,7 @@ class TopicHealth:
             found.append(f"about {self.missing} messages on {self.topic} are missing, by the gaps between stamps")
         if self.behind and self._is_recent("behind"):
             found.append(f"{self.behind} stamps on {self.topic} are not later than the one before")
-        if len(self.publishers) > 1:
+        if len(self.publishers) > 1 and self.type not in TF_TYPES:
             found.append(f"{len(self.publishers)} nodes publish {self.topic}: {', '.join(self.publishers)}")
         offset = self.offset
         if offset is not None and abs(offset) > _OFFSET:

@@ -25,6 +25,8 @@ TOPIC = "/aero_viz/odometry"
 _WORLD = "odom"
 _LATE = 3
 """Clouds that may wait: where the registration is slower than the sensor, the oldest are left out, and counted."""
+_SAMPLES = 20_000
+"""Samples of the IMU that may wait for a cloud: a minute of most."""
 
 
 class OnlineOdometry:
@@ -50,7 +52,7 @@ class OnlineOdometry:
         self._register: KissIcp | RkoLio | None = None
         if method == "kiss-icp":
             self._register = KissIcp(np.eye(4))
-        self._samples: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
+        self._samples: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=_SAMPLES)
         self._last = -np.inf
         self._start: int | None = None
         self._clouds: Mailbox[LiveMessage] = Mailbox(self._take, capacity=_LATE, name="aero-viz-odometry")
@@ -100,8 +102,7 @@ class OnlineOdometry:
         if register is None:
             return
         if isinstance(register, RkoLio):
-            samples, self._samples = self._samples, []
-            register.add_imu(_as_samples(samples))
+            register.add_imu(_as_samples([self._samples.popleft() for _ in range(len(self._samples))]))
         matrix = register(sweep)
         time = time_in_sweep(sweep, register.posed_at)
         if matrix is None or not np.isfinite(matrix).all() or time <= self._last:
@@ -119,7 +120,7 @@ class OnlineOdometry:
             self.missing = f"rko-lio needs an IMU, and nothing arrives from {self._imu or 'any'}: take kiss-icp."
             return None
         self.missing = ""
-        level = level_of(_as_samples(self._samples), IDENTITY, self._start)
+        level = level_of(_as_samples(list(self._samples)), IDENTITY, self._start)
         self._register = register = RkoLio(None, IDENTITY, level, self._start)
         return register
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from aero_planner.onboard.ros_messages import pose_messages
+from aero_planner.plan import VehicleState
 from aero_viz.live.health import TopicHealth
+from aero_viz.live.stream import Stream
 
 SECOND = 1_000_000_000
 
@@ -40,3 +43,16 @@ def test_what_is_over_is_not_said_for_ever():
     health, now = fed([*TENTHS[:20], *TENTHS[24:]])
     later, now = fed([*TENTHS[:20], *[0.1 * k for k in range(24, 200)]])
     assert health.missing == later.missing == 4 and later.sentences(now) == []
+
+
+def test_many_may_publish_tf_each_with_its_own_times():
+    transforms = pose_messages(VehicleState((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), 100 * SECOND)
+    (data,) = (message.data for message in transforms if message.topic == "/tf")
+    for kind, count in (("tf2_msgs/msg/TFMessage", 0), ("nav_msgs/msg/Odometry", 1)):
+        stream = Stream("graph")
+        for _ in range(30):
+            stream.add("/tf", kind, data)
+        health = stream.health("/tf", kind)
+        health.publishers = ("/a", "/b")
+        found = [text for text in health.sentences(stream.clock.now()) if "publish" in text]
+        assert (len(found), health.behind) == (count, 29 * count)
