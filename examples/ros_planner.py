@@ -3,12 +3,14 @@
 Start `aero-viz sim forest --ros --speed 3` first, and this in a second terminal.
 """
 
+import contextlib
 from collections import deque
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from nav_msgs.msg import Odometry
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from scipy.spatial.transform import Rotation
@@ -56,4 +58,5 @@ class Sidestep(Node):
 
 
 rclpy.init()
-rclpy.spin(Sidestep())
+with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+    rclpy.spin(Sidestep())

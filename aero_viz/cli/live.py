@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     import threading
     from collections.abc import Callable
 
+    from aero_viz.live.odometry import OnlineOdometry
     from aero_viz.live.setup import Setup, Wanted
     from aero_viz.live.stream import Stream
     from aero_viz.ros.feed import Feed
@@ -93,6 +95,7 @@ def live(
     from aero_viz.live.setup import Wanted
 
     page_flags.refuse(besides=WATCHING, advice="the page of a live stream opens no files: leave it out")
+    page_flags.check()
     if livox is not None and pcap_replay is not None:
         raise UserError("--livox and --pcap-replay are two sources; give one.")
     if json and not list_topics:
@@ -100,6 +103,8 @@ def live(
     if not 0.1 <= rate <= 200.0 or not keep > 0.0:
         raise UserError(f"--rate is in [0.1, 200] Hz and --keep above 0 s, not {rate:g} and {keep:g}.")
     method = odometry if odometry in _ODOMETRIES else None
+    if points is not None and not points.startswith("/"):
+        raise UserError(f"--points is a topic, such as /points, not {points!r}.")
     if odometry is not None and method is None and not odometry.startswith("/"):
         raise UserError(f"--odometry is a topic, such as /Odometry, or {' or '.join(_ODOMETRIES)}, not {odometry!r}.")
     place, goal_topic = _goal(goal)
@@ -116,7 +121,7 @@ def live(
             from aero_viz.ros.feed import Feed
             from aero_viz.ros.graph import Graph
 
-            graph = stack.enter_context(Graph(domain=domain))
+            graph = stack.enter_context(Graph("aero_viz_live", domain=domain))
             if list_topics:
                 _wait(lambda: graph.topics(), 3.0)
                 return print_report(_GraphReport(graph.topics()), as_json=json)
@@ -154,6 +159,8 @@ def live(
 
 def _goal(words: tuple[str, ...]) -> tuple[tuple[float, ...] | None, str]:
     """Return the place [m] of a goal, if one is given, and the topic that it follows from then on."""
+    from aero_viz.recordings.source import checked_goal
+
     if not words:
         return None, _GOAL_TOPIC
     if len(words) == 1 and words[0].startswith("/"):
@@ -164,6 +171,7 @@ def _goal(words: tuple[str, ...]) -> tuple[tuple[float, ...] | None, str]:
         place = ()
     if len(place) != 3:
         raise UserError(f"--goal is a topic, such as {_GOAL_TOPIC}, or three numbers x y z [m], not {' '.join(words)}.")
+    checked_goal(place)
     return place, _GOAL_TOPIC
 
 
@@ -234,52 +242,87 @@ def _understand(
     shutdown: threading.Event,
 ) -> Setup | None:
     """Choose the topics, say what is assumed, and keep only what is used; None if the program is to end."""
-    from aero_viz.live.setup import find_setup
-
     if feed is not None:
-        _choose_candidates(feed, wanted, method, imu, shutdown)
+        _choose_candidates(feed, wanted, method, imu, goal_topic, shutdown)
+    _wait(lambda: shutdown.is_set(), _LISTENING)
+    estimated: OnlineOdometry | None = None
     if method is not None:
+        clouds = _find(stream, dataclasses.replace(wanted, odometry=None), lambda _: True, lambda: "", shutdown)
+        if clouds is None:
+            return None
         from aero_viz.live.odometry import OnlineOdometry
 
-        stack.callback(OnlineOdometry(stream, method, points=wanted.points, imu=imu).close)
-    _wait(lambda: shutdown.is_set(), _LISTENING)
-    deadline, problem = time.monotonic() + _DISCOVERY, ""
-    while not shutdown.is_set():
-        try:
-            setup = find_setup(stream, wanted)
-        except UserError as error:
-            problem = str(error)
-        else:
-            is_complete = setup.poses is not None or not _expects_poses(feed, wanted, method)
-            if is_complete or time.monotonic() > deadline:
-                break
-        if time.monotonic() > deadline:
-            raise UserError(f"{problem} Listened for {_DISCOVERY + _LISTENING:.0f} s; is the driver running?")
-        _wait(lambda: shutdown.is_set(), 5 * _POLL)
-    else:
+        wanted = dataclasses.replace(wanted, points=clouds.points)
+        estimated = OnlineOdometry(stream, method, points=clouds.points, imu=imu)
+        stack.callback(estimated.close)
+
+    def is_complete(setup: Setup) -> bool:
+        return setup.poses is not None or not _expects_poses(feed, wanted)
+
+    setup = _find(stream, wanted, is_complete, lambda: "" if estimated is None else estimated.missing, shutdown)
+    if setup is None:
         return None
     if feed is not None:
         known = {**feed.candidates(), **{name: health.type for name, health in stream.topics.items()}}
         used = {name: known[name] for name in setup.used if name in known}
-        goal_type = feed.candidates().get(goal_topic, "geometry_msgs/msg/PoseStamped")
         imus = {name: kind for name, kind in feed.topics.items() if method == "rko-lio" and kind.endswith("/Imu")}
-        feed.use({**used, **imus, goal_topic: goal_type})
+        feed.use({**used, **imus, goal_topic: _goal_type(feed, goal_topic)})
     for text in (*setup.assumptions, setup.measured.format_line()):
         say(f"  {text}")
     return setup
 
 
-def _expects_poses(feed: Feed | None, wanted: Wanted, method: str | None) -> bool:
+def _find(
+    stream: Stream,
+    wanted: Wanted,
+    is_complete: Callable[[Setup], bool],
+    missing: Callable[[], str],
+    shutdown: threading.Event,
+) -> Setup | None:
+    """Return how to read a stream as soon as that is complete, or after a while; None if the program is to end.
+
+    Raises:
+        UserError: it cannot be read; says why, by `missing` if that knows.
+    """
+    from aero_viz.live.setup import find_setup
+
+    deadline = time.monotonic() + _DISCOVERY
+    while not shutdown.is_set():
+        is_late = time.monotonic() > deadline
+        try:
+            setup = find_setup(stream, wanted)
+        except UserError as error:
+            if is_late:
+                advice = missing() or f"{error} Is the driver running?"
+                raise UserError(f"{advice} Listened for {_DISCOVERY + _LISTENING:.0f} s.") from error
+        else:
+            if is_late or is_complete(setup):
+                return setup
+        _wait(lambda: shutdown.is_set(), 5 * _POLL)
+    return None
+
+
+def _goal_type(feed: Feed, topic: str) -> str:
+    """Return the type of the topic that the goal follows, that of RViz's goals where nobody publishes it yet."""
+    from aero_viz.live.source import GOAL_TYPES
+
+    types = feed.graph.types(topic)
+    if types.isdisjoint(GOAL_TYPES) and types:
+        raise UserError(f"--goal {topic} has {', '.join(types)}; a goal comes from {', '.join(GOAL_TYPES)}.")
+    return next((kind for kind in GOAL_TYPES if kind in types), GOAL_TYPES[0])
+
+
+def _expects_poses(feed: Feed | None, wanted: Wanted) -> bool:
     from aero_viz.recordings.pose_messages import POSE_TYPES
     from aero_viz.recordings.ros_messages import TF_TYPES
 
-    if wanted.odometry is not None or method is not None:
+    if wanted.odometry is not None:
         return True
     return feed is not None and any(kind in (*POSE_TYPES, *TF_TYPES) for kind in feed.topics.values())
 
 
 def _choose_candidates(
-    feed: Feed, wanted: Wanted, method: str | None, imu: str | None, shutdown: threading.Event
+    feed: Feed, wanted: Wanted, method: str | None, imu: str | None, goal_topic: str, shutdown: threading.Event
 ) -> None:
     """List the graph, and listen to what may be used."""
     from aero_viz.recordings.clouds import CLOUD_TYPES
@@ -296,10 +339,11 @@ def _choose_candidates(
     _wait(found, _DISCOVERY)
     _wait(lambda: shutdown.is_set(), 10 * _POLL)  # for what is found a little later
     say(_GraphReport(feed.graph.topics()).format_table())
+    _goal_type(feed, goal_topic)  # says at once if it is of no use
     chosen: dict[str, str] = {}
     for name, kind in feed.candidates().items():
         is_cloud = kind in CLOUD_TYPES and wanted.points in (None, name)
-        is_pose = kind in POSE_TYPES and wanted.odometry in (None, name) and name != _GOAL_TOPIC
+        is_pose = kind in POSE_TYPES and wanted.odometry in (None, name) and name not in (_GOAL_TOPIC, goal_topic)
         is_imu = kind == IMU_TYPE and method == "rko-lio" and imu in (None, name)
         if is_cloud or is_pose or is_imu or kind in (*TF_TYPES, CAMERA_INFO):
             chosen[name] = kind

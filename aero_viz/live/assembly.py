@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aero_planner import Arrival, Sweeps, VehicleState
 from aero_planner.onboard.host_clock import HostClock
+from aero_planner.plan_inputs import FARTHEST
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import compose_transforms, conjugate, multiply, rotate, rotation_matrix
 from aero_planner.sweeps import as_constant
@@ -106,7 +107,9 @@ class Assembler:
         """Take a message of the topics that are used; others are ignored."""
         setup, health = self.setup, self._stream.topics[message.topic]
         try:
-            if message.topic == setup.points and message.type == setup.points_type:
+            if message.topic == setup.points:
+                if message.type != setup.points_type:
+                    raise DamagedMessage(f"it is {message.type} now: start aero-viz live again")
                 self._add_cloud(message, health)
             elif message.topic == setup.poses:
                 self._add_poses(message, health)
@@ -182,6 +185,9 @@ class Assembler:
         if time is None:
             return
         position = np.array(pose.values[:3]) - setup.offset
+        if np.abs(position).max() > FARTHEST:
+            self._stream.topics[message.topic].refuse("its position is too far from the first one")
+            return
         quaternion = np.array(pose.values[3:7])
         quaternion /= np.linalg.norm(quaternion)
         if setup.turn is not None:

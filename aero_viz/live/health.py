@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import time
 from collections import Counter, deque
@@ -22,11 +23,13 @@ _RECENT = 10.0
 
 
 def header_stamp(data: bytes, type_name: str) -> int:
-    """Return the stamp in the header of a CDR message [ns], zero where it is unset or the message too short."""
-    start = 8 if type_name in TF_TYPES else 4
-    if len(data) < start + 8:
+    """Return the stamp in the header of a CDR message [ns], zero where it is unset or the message too short.
+
+    It is zero for TF, too: its many publishers have times of their own, which do not follow one another.
+    """
+    if type_name in TF_TYPES or len(data) < 12:
         return 0
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, start)
+    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] & 1 else ">iI", data, 4)
     return seconds * 10**9 + nanoseconds
 
 
@@ -38,13 +41,15 @@ class TopicHealth:
         self.count = 0
         """Number of messages."""
         self.unused: Counter[str] = Counter()
-        """Number of messages that could not be used, by reason."""
+        """Number of messages that could not be used, by reason; reasons that differ in their numbers count as one."""
         self.missing = 0
         """Number of messages that are missing, judged by the gaps between stamps."""
         self.behind = 0
         """Number of messages with a stamp that is not later than the one before."""
         self.publishers: tuple[str, ...] = ()
         """Names of the nodes that publish it, where they are known."""
+        self._reasons: dict[str, str] = {}
+        """First reason of each kind."""
         self._seen: dict[str, int] = {}
         """Number of messages when each kind of trouble was last seen."""
         self._arrivals: deque[int] = deque(maxlen=_WINDOW)
@@ -71,6 +76,7 @@ class TopicHealth:
 
     def refuse(self, reason: str) -> None:
         """Count a message that cannot be used, for a reason that completes "It cannot be used because ..."."""
+        reason = self._reasons.setdefault(re.sub(r"\d+", "0", reason), reason)
         self.unused[reason] += 1
         self._note(reason)
 
@@ -115,7 +121,7 @@ class TopicHealth:
             found.append(f"about {self.missing} messages on {self.topic} are missing, by the gaps between stamps")
         if self.behind and self._is_recent("behind"):
             found.append(f"{self.behind} stamps on {self.topic} are not later than the one before")
-        if len(self.publishers) > 1:
+        if len(self.publishers) > 1 and self.type not in TF_TYPES:
             found.append(f"{len(self.publishers)} nodes publish {self.topic}: {', '.join(self.publishers)}")
         offset = self.offset
         if offset is not None and abs(offset) > _OFFSET:

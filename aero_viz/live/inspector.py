@@ -60,17 +60,16 @@ class Inspector:
             UserError: there is too little to look at.
         """
         source = self._session.stream_source
-        found = find_setup(source.stream, self._wanted, faults=True)
+        used = source.setup
+        wanted = replace(self._wanted, points=used.points, odometry=used.poses)
+        found = find_setup(source.stream, wanted, faults=True)
         for finding in found.findings:
             if finding.is_fault and finding.code not in self._told:
                 self._told.add(finding.code)
                 self._session.notify(f"{finding.evidence}. Next: {finding.advice}.", level="failure")
-        if found.points == source.setup.points and found.poses == source.setup.poses:
-            # What places the cloud stays as it was said at the start.
-            twist = found.twist if source.setup.twist != "none" else "none"
-            self._session.use(
-                replace(source.setup, twist=twist, measured=found.measured, findings=found.findings)
-            ).result()
+        # What places the cloud stays as it was said at the start.
+        twist = "none" if used.twist == "none" else found.twist
+        self._session.use(replace(used, twist=twist, measured=found.measured, findings=found.findings)).result()
         return found
 
     def close(self) -> None:

@@ -36,13 +36,17 @@ class LivoxFeed:
         port, imu_port: UDP ports of this computer; 0 selects free ones.
 
     Raises:
-        UserError: a port is in use, by another driver for example, or the sensor's name has no address.
+        UserError: the port is in use, by another driver for example, or the sensor's name has no address.
     """
 
     def __init__(self, stream: Stream, sensor: str | None, *, port: int = 56301, imu_port: int = 56401) -> None:
         self._stream = stream
         try:
-            self._source = LivoxSource(port, sensor=sensor, clock=lambda: 1e-9 * stream.clock.now())
+            self._address = None if sensor is None else socket.gethostbyname(sensor)
+        except OSError as error:
+            raise UserError(f"The Livox {sensor} has no address: {error.strerror}; give its number.") from error
+        try:
+            self._source = LivoxSource(port, sensor=self._address, clock=lambda: 1e-9 * stream.clock.now())
         except OSError as error:
             raise UserError(
                 f"The packets of the Livox at {sensor} cannot be received on port {port}: {error.strerror or error}; "
@@ -53,7 +57,6 @@ class LivoxFeed:
         with contextlib.suppress(OSError):  # without the IMU, the points are still of use
             self._imu.bind(("0.0.0.0", imu_port))
         self._imu_clock = HostClock()
-        self._sensor = sensor
         self._points: list[tuple[NDArray[np.float32], NDArray[np.float64]]] = []
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="aero-viz-livox", daemon=True)
@@ -90,7 +93,7 @@ class LivoxFeed:
             except OSError:
                 return
             sample = parse_imu(data)
-            if sample is None or (self._sensor is not None and address[0] != socket.gethostbyname(self._sensor)):
+            if sample is None or self._address not in (None, address[0]):
                 continue
             stamp = self._imu_clock.to_host(1e-9 * sample[0], 1e-9 * self._stream.clock.now())
             if stamp is not None:

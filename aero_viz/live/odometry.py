@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable
+
 import numpy as np
 
 from aero_planner.mailbox import Mailbox
 from aero_planner.onboard.ros_messages import ODOMETRY
 from aero_planner.quaternions import quaternion_of_matrix
 from aero_viz.live.stream import LiveMessage, Stream
-from aero_viz.recordings.clouds import CLOUD_TYPES, read_cloud
+from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.imu import ImuSamples
 from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
 from aero_viz.recordings.odometry import KissIcp, RkoLio, level_of, time_in_sweep
@@ -22,6 +25,8 @@ TOPIC = "/aero_viz/odometry"
 _WORLD = "odom"
 _LATE = 3
 """Clouds that may wait: where the registration is slower than the sensor, the oldest are left out, and counted."""
+_SAMPLES = 20_000
+"""Samples of the IMU that may wait for a cloud: a minute of most."""
 
 
 class OnlineOdometry:
@@ -30,24 +35,34 @@ class OnlineOdometry:
     Args:
         stream: the stream.
         method: "kiss-icp" or "rko-lio", which needs an IMU and a time per point.
-        points: topic of the clouds; None is the first one.
+        points: topic of the clouds.
         imu: topic of the IMU; None is the first one. The sensor and its IMU are taken for one.
+
+    Attributes:
+        missing: what the registration waits for, as a sentence; empty if for nothing.
 
     Raises:
         UserError: the library is not installed.
     """
 
-    def __init__(self, stream: Stream, method: str, *, points: str | None = None, imu: str | None = None) -> None:
+    def __init__(self, stream: Stream, method: str, *, points: str, imu: str | None = None) -> None:
         self._stream, self._method = stream, method
         self._points, self._imu = points, imu
+        self.missing = ""
         self._register: KissIcp | RkoLio | None = None
         if method == "kiss-icp":
             self._register = KissIcp(np.eye(4))
-        self._samples: list[tuple[int, tuple[float, ...], tuple[float, ...]]] = []
+        self._samples: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=_SAMPLES)
         self._last = -np.inf
         self._start: int | None = None
         self._clouds: Mailbox[LiveMessage] = Mailbox(self._take, capacity=_LATE, name="aero-viz-odometry")
-        self._end = stream.listen(self._listen)
+        # Of the clouds that have arrived, only the newest one: the poses begin now.
+        newest: deque[LiveMessage] = deque(maxlen=1)
+        self._put: Callable[[LiveMessage], object] = newest.append
+        self._end = stream.listen(self._listen, from_kept=True)
+        self._put = self._clouds.put
+        for message in newest:
+            self._put(message)
 
     @property
     def dropped(self) -> int:
@@ -55,10 +70,8 @@ class OnlineOdometry:
         return self._clouds.dropped
 
     def _listen(self, message: LiveMessage) -> None:
-        if message.type in CLOUD_TYPES:
-            self._points = self._points or message.topic
-            if message.topic == self._points:
-                self._clouds.put(message)
+        if message.topic == self._points:
+            self._put(message)
         elif message.type == IMU_TYPE and self._method == "rko-lio":
             self._imu = self._imu or message.topic
             if message.topic == self._imu:
@@ -89,8 +102,7 @@ class OnlineOdometry:
         if register is None:
             return
         if isinstance(register, RkoLio):
-            samples, self._samples = self._samples, []
-            register.add_imu(_as_samples(samples))
+            register.add_imu(_as_samples([self._samples.popleft() for _ in range(len(self._samples))]))
         matrix = register(sweep)
         time = time_in_sweep(sweep, register.posed_at)
         if matrix is None or not np.isfinite(matrix).all() or time <= self._last:
@@ -100,9 +112,15 @@ class OnlineOdometry:
 
     def _make_rko(self, sweep: PointSweep) -> RkoLio | None:
         """Return the registration, None while there is no IMU or no time per point."""
-        if not self._samples or sweep.point_times is None or self._start is None:
+        assert self._start is not None
+        if sweep.point_times is None:
+            self.missing = f"rko-lio needs a time for each point, which {self._points} does not give: take kiss-icp."
             return None
-        level = level_of(_as_samples(self._samples), IDENTITY, self._start)
+        if not self._samples:
+            self.missing = f"rko-lio needs an IMU, and nothing arrives from {self._imu or 'any'}: take kiss-icp."
+            return None
+        self.missing = ""
+        level = level_of(_as_samples(list(self._samples)), IDENTITY, self._start)
         self._register = register = RkoLio(None, IDENTITY, level, self._start)
         return register
 

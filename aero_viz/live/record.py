@@ -88,7 +88,6 @@ class Recorder:
         self._failed, self._has_failed, self._seed = failed, False, seed
         self._channels: dict[tuple[str, str], int] = {}
         self._config: DroneConfig | None = None
-        self._configs = 0
         self._goal: NDArray[np.float64] | None = None
         self._window: deque[NDArray[np.float32]] = deque()
         self._first = 0
@@ -141,7 +140,6 @@ class Recorder:
             self._config = frame.config
             name = f"config_{frame.config_version}.yaml"
             self._attach(name, "application/yaml", format_config(frame.config), stamp)
-            self._configs += 1
         for sweep in self._take_over(list(tick.sweeps)):
             self._add(SWEEP_TOPIC, POINT_CLOUD2, encode_point_cloud2(sweep, stamp, WORLD), stamp)
         self._add(TICK_TOPIC, TICK, encode_tick(tick, self._first), stamp)
@@ -184,7 +182,7 @@ class Recorder:
         self._work.finish(timeout=30.0)
         with contextlib.suppress(OSError):
             if not self._has_failed:
-                settings = {"seed": self._seed, "configurations": self._configs, "dropped": dropped}
+                settings = {"seed": self._seed, "dropped": dropped}
                 self._attach(SETTINGS, "application/json", json.dumps(settings), 0)
                 self._writer.finish()
         self._file.close()

@@ -153,9 +153,11 @@ class StreamReplay:
             if len(plan.path) and plan.stamp in self._stamps
         ]
         configs = sum(name.startswith("config_") for name in contents.attachments)
+        seed, dropped = (_setting(contents, name) for name in ("seed", "dropped"))
         sentences = [
             f"The configuration was changed {configs - 1} times; it plays with the first one." if configs > 1 else "",
-            f"It was planned with --seed {seed}." if (seed := _seed(contents)) else "",
+            f"It was planned with --seed {seed}." if seed else "",
+            f"{dropped} ticks were not written, the disk being too slow: later plans differ." if dropped else "",
         ]
         return plans, " ".join(filter(None, sentences))
 
@@ -227,9 +229,9 @@ class StreamReplay:
         self._file.close()
 
 
-def _seed(contents: LogContents) -> int:
-    """Return the seed of the planner's noise, 0 if it is not known."""
+def _setting(contents: LogContents, name: str) -> int:
+    """Return a condition of the plans, 0 if it is not known."""
     try:
-        return int(parse_json(contents.attachments.get(SETTINGS, b"{}"))["seed"])
+        return int(parse_json(contents.attachments.get(SETTINGS, b"{}"))[name])
     except (KeyError, TypeError, ValueError):
         return 0

@@ -48,16 +48,18 @@ class StreamEngine(Engine):
         shown = None if self.follows or not self._timeline else (self.frame, self._timeline.index)
         if shown is not None:
             self._timeline.go_by(self._timeline.earlier + len(self._timeline))
-        if self._head is not None:
-            self._planner.restore(self._head)
-        started = time.perf_counter()
-        self.source.advance(None)  # type: ignore[arg-type]
-        frame = self._plan(advance_ms=1e3 * (time.perf_counter() - started), is_shown=shown is None)
-        self._head = self._planner.history()
-        if shown is not None:
-            self.frame = shown[0]
-            self._timeline.go_by(shown[1] - self._timeline.index)
-            self.source.restore(self._timeline.current.source)
+        try:
+            if self._head is not None:
+                self._planner.restore(self._head)
+            started = time.perf_counter()
+            self.source.advance(None)  # type: ignore[arg-type]
+            frame = self._plan(advance_ms=1e3 * (time.perf_counter() - started), is_shown=shown is None)
+            self._head = self._planner.history()
+        finally:
+            if shown is not None:
+                self.frame = shown[0]
+                self._timeline.go_by(shown[1] - self._timeline.index)
+                self.source.restore(self._timeline.current.source)
         return frame
 
     def follow(self) -> None:

@@ -149,9 +149,7 @@ class StreamSource:
         self._tick = replace(self._tick, goal=self._goal_for(self._tick.state))
 
     def use(self, setup: Setup) -> None:
-        """Read the messages otherwise from now on."""
-        if setup.points != self.setup.points or setup.poses != self.setup.poses:
-            raise UserError("other topics are another stream: start `aero-viz live` again.")
+        """Read the messages of the same topics otherwise from now on."""
         self.setup = self._assembler.setup = setup
 
     def close(self) -> None:
@@ -213,11 +211,12 @@ class StreamSource:
             else:
                 pose = decode_poses(message.data, message.type, "cdr")[0]
                 goal = np.array(pose.values[:3])
+            is_on_ground = message.type == GOAL_TYPES[0] and goal[2] == 0.0
+            goal = checked_goal(goal - self.setup.offset)
         except DamagedMessage as error:
             return health.refuse(str(error))
-        if not np.isfinite(goal).all():
+        except UserError:
             return health.refuse("its position is not valid")
-        goal -= self.setup.offset
-        if message.type == GOAL_TYPES[0] and goal[2] == 0.0 and self._newest > -np.inf:
+        if is_on_ground and self._newest > -np.inf:
             goal[2] = np.asarray(self._tick.state.position)[2]
         self._goal = goal

@@ -65,7 +65,8 @@ class Stream:
         with self._lock:
             self.health(topic, type_name).add(header_stamp(data, type_name), message.time)
             if topic.endswith("tf_static") or type_name == CAMERA_INFO:
-                key = (topic, hash(data[12:]) if type_name != CAMERA_INFO else 0)
+                # The same transforms with another stamp are the same.
+                key = (topic, hash(data[16:]) if type_name != CAMERA_INFO else 0)
                 if key in self._latched or len(self._latched) < _LATCHED_MAX:
                     self._latched[key] = message
             else:

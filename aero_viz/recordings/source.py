@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Arrival, Goal, Sweeps, VehicleState
+from aero_planner.plan_inputs import FARTHEST
 from aero_planner.quaternions import rotate, rotation_matrix
 from aero_planner.sweeps import as_constant
 from aero_viz.errors import UserError
@@ -246,8 +247,10 @@ class RecordingSource:
 
 
 def checked_goal(position: ArrayLike) -> NDArray[np.float64]:
-    """Return a goal [m], shape [3]; UserError unless it is three finite numbers."""
+    """Return a goal [m], shape [3]; UserError unless it is three finite numbers that the planner takes."""
     goal = np.array(position, np.float64)
     if goal.shape != (3,) or not np.isfinite(goal).all():
         raise UserError(f"A goal is three finite numbers [m], not {position}.")
+    if np.abs(goal).max() > FARTHEST:
+        raise UserError(f"A goal is within {FARTHEST:g} m of the origin, not at {goal.tolist()}.")
     return goal

@@ -253,13 +253,19 @@ def _multi_dof(message: Any, now: Situation, to_time: Callable[[Any], float | No
     start, points = to_time(message.header.stamp), message.points
     start = now.time if start is None else start
     times = [start + point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec for point in points]
-    derivatives = (
+    positions = [_xyz(point.transforms[0].translation) for point in points]
+    velocities, accelerations = (
         [_xyz(getattr(point, name)[0].linear) for point in points]
         if all(getattr(point, name) for point in points)
         else None
         for name in ("velocities", "accelerations")
     )
-    return timed(times, [_xyz(point.transforms[0].translation) for point in points], *derivatives)
+    if len(points) == 1:  # one of a stream of setpoints, which moves on until it is too old
+        ahead, rest = now.following.timeout, [[0.0, 0.0, 0.0]]
+        velocities, accelerations = 2 * (velocities or rest), 2 * (accelerations or rest)
+        times.append(times[0] + ahead)
+        positions.append(np.add(positions[0], ahead * np.array(velocities[0])).tolist())
+    return timed(times, positions, velocities, accelerations)
 
 
 def _attitude_target(message: Any, now: Situation, to_time: Callable[[Any], float | None]) -> Setpoint:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import logging
 import threading
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -16,6 +17,8 @@ from aero_viz.recordings.imu_messages import IMU_TYPE
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.ros_messages import TF_TYPES
 from aero_viz.ros.graph import Graph, Quality, Topic, message_class
+
+_log = logging.getLogger(__name__)
 
 READ_TYPES = (*CLOUD_TYPES, *POSE_TYPES, *TF_TYPES, CAMERA_INFO, IMU_TYPE, *GOAL_TYPES)
 """Types of the topics that are read."""
@@ -68,7 +71,9 @@ class Feed:
         return {name: subscribed.type for name, subscribed in tuple(self._subscribed.items())}
 
     def use(self, topics: Mapping[str, str]) -> None:
-        """Subscribe to these topics, by name and type, and to no others. A topic need not exist yet.
+        """Subscribe to these topics, by name and type, and to no others.
+
+        A topic need not exist yet. If it is then published in another type that is read, it is subscribed to in that.
 
         Raises:
             UserError: a type is not installed.
@@ -90,26 +95,39 @@ class Feed:
     def _watch(self) -> None:
         while not self._closed.wait(_PERIOD):
             with self._lock:
-                if not self._closed.is_set():
-                    self._update()
+                try:
+                    if not self._closed.is_set():
+                        self._update()
+                except Exception as error:  # rclpy has not let go of a topic's other type yet, for example
+                    _log.info("the topics of ROS 2 are looked at again: %s", error)
 
     def _update(self) -> None:
         """Remove what is not wanted, and subscribe where nothing is subscribed, or with another quality."""
         wanted = {name: kind for name, kind in self._wanted.items() if not (self._rests and kind in CLOUD_TYPES)}
         for name in [name for name in self._subscribed if name not in wanted]:
             self.graph.remove(self._subscribed.pop(name).subscription)
-        for name, kind in wanted.items():
+        for name, expected in wanted.items():
+            kind = self._type(name, expected)
             quality, present = self.graph.quality(name, kind), self._subscribed.get(name)
             self._stream.health(name, kind).publishers = tuple(self.graph.nodes(name))
             # Without a publisher, the subscription waits for one that returns.
-            if present is not None and (quality is None or quality == present.quality):
+            if present is not None and present.type == kind and quality in (None, present.quality):
                 continue
             if present is not None:
-                self.graph.remove(present.subscription)
+                self.graph.remove(self._subscribed.pop(name).subscription)
             take = functools.partial(self._stream.add, name, kind)
             depth = _CLOUDS if kind in CLOUD_TYPES else _DEPTH
             subscription = self.graph.subscribe(name, kind, take, raw=True, depth=depth)
             self._subscribed[name] = _Subscribed(subscription, kind, quality)
+
+    def _type(self, name: str, expected: str) -> str:
+        """Return the type in which a topic is read: as it is published, and without a publisher as before."""
+        types, present = self.graph.types(name), self._subscribed.get(name)
+        if not types:
+            return expected if present is None else present.type
+        if expected in types:
+            return expected
+        return readable_type(Topic(name, tuple(types), 1)) or expected
 
     def close(self) -> None:
         """Unsubscribe from everything."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import os
-import threading
 from collections.abc import Callable, Collection
 from types import ModuleType
 from typing import Any, NamedTuple
 
+from aero_planner.onboard import ros_node
 from aero_viz.errors import UserError
 from aero_viz.extras import how_to_install
 
@@ -26,8 +25,6 @@ SENSOR_TYPES = frozenset(
 """Types that are lost rather than repeated where any of their publishers does so."""
 
 _DEPTH = 10
-_CLOSE_TIMEOUT = 5.0
-"""Longest wait for the thread of a graph that is closed [s]."""
 
 
 class Topic(NamedTuple):
@@ -70,14 +67,10 @@ def message_class(type_name: str) -> Any:
     Raises:
         UserError: its package is not installed.
     """
-    package, _, name = type_name.partition("/msg/")
     try:
-        return getattr(importlib.import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise UserError(
-            f"The messages {type_name} are not installed ({error}): source the workspace that has the package "
-            f"{package}, or name a topic of another type."
-        ) from error
+        return ros_node.message_class(type_name)
+    except ImportError as error:
+        raise UserError(f"T{str(error)[1:]}, or name a topic of another type.") from error
 
 
 class Graph:
@@ -96,32 +89,17 @@ class Graph:
     """
 
     def __init__(self, name: str = "aero_viz", *, domain: int | None = None, parameters: bool = False) -> None:
-        rclpy = import_rclpy()
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from rclpy.signals import SignalHandlerOptions
-
-        self._context = rclpy.Context()
-        options = {"context": self._context, "domain_id": domain}
+        import_rclpy()
         try:
-            rclpy.init(signal_handler_options=SignalHandlerOptions.NO, **options)
-            self.node: Any = Node(name, context=self._context, start_parameter_services=parameters, enable_rosout=False)
-            """The node of rclpy."""
-        except Exception as error:  # rclpy raises several unrelated classes
-            self._context.try_shutdown()
-            number = domain if domain is not None else os.environ.get("ROS_DOMAIN_ID", "0")
-            raise UserError(f"ROS 2 cannot start in domain {number}: {error}; check ROS_DOMAIN_ID.") from error
+            self._context = ros_node.open_context(domain)
+            self._node = ros_node.RosNode(self._context, name, parameters=parameters)
+        except OSError as error:
+            raise UserError(str(error)) from error
+        self.node = self._node.node
+        """The node of rclpy."""
         self.domain = self._context.get_domain_id()
         """Number of the domain."""
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._spin, name=f"aero-viz-{name}", daemon=True)
-        self._thread.start()
-
-    def _spin(self) -> None:
-        while not self._closed.is_set():
-            self._executor.spin_once(timeout_sec=0.5)
+        self._node.start()
 
     def topics(self) -> list[Topic]:
         """Return the topics that somebody else publishes, by name."""
@@ -132,6 +110,10 @@ class Graph:
         """Return the names of the nodes that publish a topic."""
         infos = self._publishers(topic)
         return sorted(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in infos)
+
+    def types(self, topic: str) -> set[str]:
+        """Return the types in which somebody else publishes a topic."""
+        return {info.topic_type for info in self._publishers(topic)}
 
     def quality(self, topic: str, type_name: str) -> Quality | None:
         """Return what a subscription may ask for so that every publisher of a topic reaches it; None without any."""
@@ -191,13 +173,7 @@ class Graph:
 
     def close(self) -> None:
         """Leave the graph. May be called twice."""
-        if self._closed.is_set():
-            return
-        self._closed.set()
-        self._executor.wake()
-        self._thread.join(_CLOSE_TIMEOUT)
-        self._executor.shutdown(0.0)
-        self.node.destroy_node()
+        self._node.close()
         self._context.try_shutdown()
 
     def __enter__(self) -> Graph:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from aero_planner.config import PlannerConfig
 from aero_planner.plan import Goal, VehicleState
 
-_FARTHEST = 1e6
+FARTHEST = 1e6
 """Largest coordinate, beyond which float32 no longer resolves a decimetre [m]."""
 _EXAMPLES: dict[type, str] = {
     VehicleState: "VehicleState((0, 0, 2), (0, 0, 0), (1, 0, 0, 0))", Goal: "Goal((20, 0, 2))",
@@ -81,7 +81,7 @@ def _check_ground_height(height: ArrayLike | None, batch: tuple[int, ...]) -> ND
     """Return ground heights [m] of shape [] or [B], -inf where they are unknown."""
     if height is None:
         return _full(batch, -np.inf)
-    if type(height) is float and -_FARTHEST <= height <= _FARTHEST:
+    if type(height) is float and -FARTHEST <= height <= FARTHEST:
         return np.full(batch, height)
     array = np.asarray(height)
     shape = batch if array.ndim else ()
@@ -99,7 +99,7 @@ def _full(shape: tuple[int, ...], value: float) -> NDArray[np.float64]:
 
 
 def _check(
-    name: str, value: Any, shape: tuple[int, ...], *, missing: float | None = None, limit: float = _FARTHEST
+    name: str, value: Any, shape: tuple[int, ...], *, missing: float | None = None, limit: float = FARTHEST
 ) -> NDArray[np.float64]:
     """Return `value` as an array of `shape`, full of `missing` if it is None and may be omitted."""
     if value is None and missing is not None:

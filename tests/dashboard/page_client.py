@@ -20,16 +20,18 @@ CAMERA = {
 
 
 def join(
-    server: LocalServer,
+    server: LocalServer | None = None,
     headers: Sequence[tuple[str, str]] = (),
     *,
     path: str = "",
     url: str | None = None,
     **options: Any,
 ) -> Connection:
-    """Open a websocket to the server, at another `url` through a proxy, as the page does."""
+    """Open a websocket to the server, or at a `url`, as the page does."""
     protocol: Any = f"viser-v{viser.__version__}"
-    url = url or server.url.replace("http", "ws") + path
+    if url is None:
+        assert server is not None
+        url = server.url.replace("http", "ws") + path
     # A client that stops reading what it does not need would miss the answer when it closes, and wait for 10 s.
     options = {"max_size": None, "max_queue": None, "open_timeout": 60.0} | options
     return connect(url, subprotocols=[protocol], additional_headers=headers, **options)

@@ -57,6 +57,11 @@ def test_a_port_that_is_taken_is_said():
             LivoxFeed(Stream("desk"), "127.0.0.1", port=other.getsockname()[1], imu_port=0)
 
 
+def test_a_sensor_without_an_address_is_said():
+    with pytest.raises(UserError, match=r"The Livox no_such\.sensor has no address"):
+        LivoxFeed(Stream("desk"), "no_such.sensor", port=0, imu_port=0)
+
+
 def test_a_capture_is_replayed_at_real_speed(tmp_path: Path):
     packets = [
         (stamp * 1e-9, 56301, encode_packet(points, stamp_ns=stamp, interval=4.9e-3, sequence=number))
@@ -86,7 +91,7 @@ def way(time: NDArray[np.float64] | float) -> NDArray[np.float64]:
 def test_odometry_follows_the_sensor(method: str):
     pytest.importorskip(method.replace("-", "_"), reason="the extra 'odometry' is not installed")
     stream = Stream("desk")
-    odometry = OnlineOdometry(stream, method, imu="/imu")
+    odometry = OnlineOdometry(stream, method, points="/points", imu="/imu")
     cloud, start = walls(6000), stream.clock.now() - 2_000_000_000
     offsets = np.linspace(0.0, 0.0999, len(cloud)) if method == "rko-lio" else np.zeros(len(cloud))
     for step in range(20):
@@ -107,4 +112,15 @@ def test_odometry_follows_the_sensor(method: str):
     state = StreamSource(stream, setup).observe().state
     np.testing.assert_allclose(np.asarray(state.velocity), [1.0, 0.0, 0.0], atol=0.15)
     assert odometry.dropped == 0
+    odometry.close()
+
+
+def test_what_rko_lio_waits_for_is_said():
+    pytest.importorskip("rko_lio", reason="the extra 'odometry' is not installed")
+    stream = Stream("desk")
+    odometry = OnlineOdometry(stream, "rko-lio", points="/points")
+    cloud, times = walls(200), np.linspace(0.0, 0.1, 200).astype(np.float32)
+    for given, said in ((None, "a time for each point, which /points does not give"), (times, "needs an IMU")):
+        stream.add("/points", POINT_CLOUD2, encode_point_cloud2(cloud, 10**9, "sensor", times=given))
+        wait_until(lambda said=said: said in odometry.missing)
     odometry.close()

@@ -11,6 +11,7 @@ import pytest
 
 from aero_viz.catalog import open_source
 from aero_viz.errors import UserError
+from aero_viz.live.record import Recorder
 from aero_viz.live.replay import is_stream_recording, recorded_config
 from aero_viz.live.session import StreamSession
 from aero_viz.recordings.contents import read_contents
@@ -47,6 +48,27 @@ def test_the_picture_is_held_while_ticks_go_on(corridor: Corridor, open_session:
     following = ticks_of(session, corridor, 1)
     assert session.frame is following[0] and following[0].index == 8
     assert following[0].epoch != shown[-1].epoch  # the page redraws its history
+
+
+def test_a_tick_that_fails_leaves_the_picture_and_the_ticks_to_come(
+    corridor: Corridor, open_session: Open, monkeypatch: pytest.MonkeyPatch
+):
+    session = open_session()
+    frames = ticks_of(session, corridor, 4)
+    session.seek(frames[1].time).result()
+    held = session.frame
+    assert held is not None
+
+    def fail() -> None:
+        raise ValueError("out of memory")
+
+    with monkeypatch.context() as broken, pytest.raises(ValueError, match="out of memory"):
+        broken.setattr(session.stream_source, "observe", fail)
+        ticks_of(session, corridor, 1)
+    assert session.frame is held and ticks_of(session, corridor, 1)[0].index == 4
+    session.configure({"costs.q_position": 9.0})
+    again = session.frame
+    assert again is not None and again is not held and (again.index, again.time) == (1, held.time)
 
 
 def test_a_past_tick_is_planned_again_with_other_weights(corridor: Corridor, open_session: Open):
@@ -115,6 +137,16 @@ def test_a_recording_plays_with_its_first_configuration(corridor: Corridor, open
     source = open_source(str(tmp_path / "live.mcap"))
     assert any("changed 1 times; it plays with the first one" in notice for notice in source.info.notices)
     source.close()
+
+
+def test_ticks_that_were_not_written_are_told(corridor: Corridor, open_session: Open, tmp_path: Path):
+    session = open_session()
+    recorder = Recorder(tmp_path / "live.mcap", corridor.stream, seed=0, failed=pytest.fail)
+    for frame in ticks_of(session, corridor, 2):
+        recorder.put(frame)
+    recorder.close(dropped=3)
+    with contextlib.closing(open_source(str(tmp_path / "live.mcap"))) as source:
+        assert "3 ticks were not written" in " ".join(source.info.notices)
 
 
 def test_closing_the_session_finishes_the_recording(corridor: Corridor, open_session: Open, tmp_path: Path):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import struct
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from aero_planner.onboard.ros_messages import GOAL, goal_message
-from aero_planner.plan import Goal
+from aero_planner.onboard.ros_messages import GOAL, goal_message, pose_messages
+from aero_planner.plan import Goal, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.live.setup import Wanted, find_setup
 from aero_viz.live.source import StreamSource
 from aero_viz.live.stream import Stream
+from aero_viz.recordings.point_cloud2 import POINT_CLOUD2, encode_point_cloud2
 from tests.live.conftest import Corridor, walls
 
 
@@ -68,6 +72,41 @@ def test_bytes_that_are_no_cloud_are_counted(corridor: Corridor):
     assert sum(corridor.stream.topics["/odometry"].unused.values()) == 1
 
 
+def test_a_driver_that_returns_with_another_type_is_said(corridor: Corridor):
+    source = source_of(corridor)
+    corridor.stream.add("/points", "livox_ros_driver2/msg/CustomMsg", bytes(100))
+    source.advance()
+    assert "it is livox_ros_driver2/msg/CustomMsg now: start aero-viz live again" in (source.explanation or "")
+
+
+def test_reasons_that_differ_in_numbers_count_as_one(corridor: Corridor):
+    source = source_of(corridor)
+    for count in (1000, 1001, 1002):
+        whole = encode_point_cloud2(walls(count), corridor.now, "body")
+        corridor.stream.add(
+            "/points", POINT_CLOUD2, whole.replace(struct.pack("<II", 1, count), struct.pack("<II", 2, count))
+        )
+    source.advance()
+    (reason,) = corridor.stream.topics["/points"].unused
+    assert "2 x 1000 points" in reason and f"3 of 23 messages on /points are left out because {reason}" in str(
+        source.explanation
+    )
+
+
+@pytest.mark.parametrize("place", [(1e9, 0.0, 1.0), (np.nan, 0.0, 1.0)])
+def test_a_goal_or_a_pose_that_the_planner_cannot_take_is_left_out(corridor: Corridor, place: tuple[float, ...]):
+    source = source_of(corridor, goal_topic="/goal_pose", goal=(5.0, 0.0, 1.0))
+    corridor.stream.add("/goal_pose", GOAL, goal_message(Goal(place), 1).data)
+    far = VehicleState(np.nan_to_num(place, nan=np.inf), np.zeros(3), (1.0, 0.0, 0.0, 0.0))
+    odometry, _ = pose_messages(far, corridor.now)
+    corridor.stream.add("/odometry", odometry.kind, odometry.data, time=corridor.now)
+    source.advance()
+    assert np.asarray(source.observe().goal.position) == pytest.approx([5.0, 0.0, 1.0])
+    assert np.asarray(source.observe().state.position)[0] < 3.0
+    for topic in ("/goal_pose", "/odometry"):
+        assert list(corridor.stream.topics[topic].unused.values()) == [1]
+
+
 def test_a_clock_that_is_set_back_starts_over(corridor: Corridor):
     source = source_of(corridor)
     before = source.observe().time
@@ -90,6 +129,17 @@ def test_the_goal_is_ahead_until_one_is_given(corridor: Corridor):
     corridor.stream.add("/goal_pose", GOAL, goal_message(Goal((8.0, 1.0, 0.0)), 1).data)
     source.advance()
     assert np.asarray(source.observe().goal.position) == pytest.approx([8.0, 1.0, 1.5])
+
+
+def test_far_from_the_origin_goals_are_counted_from_the_first_pose(corridor: Corridor):
+    far = np.array([5000.0, 0.0, 80.0])
+    setup = replace(find_setup(corridor.stream, Wanted()), offset=far)
+    source = StreamSource(corridor.stream, setup, goal_topic="/goal_pose")
+    position = np.asarray(source.observe().state.position)
+    for height, expected in ((0.0, position[2]), (81.0, 1.0)):
+        corridor.stream.add("/goal_pose", GOAL, goal_message(Goal((5008.0, 1.0, height)), 1).data)
+        source.advance()
+        assert np.asarray(source.observe().goal.position) == pytest.approx([8.0, 1.0, expected])
 
 
 def test_a_silent_topic_is_named_and_its_return_is_survived(corridor: Corridor):

@@ -10,6 +10,7 @@ import bags
 import numpy as np
 import pytest
 
+from aero_planner.onboard.ros_points import decode_custom
 from aero_viz.live.assembly import Assembler
 from aero_viz.live.setup import Wanted, find_setup
 from aero_viz.live.stream import Stream
@@ -95,3 +96,15 @@ def test_a_stream_places_sweeps_as_a_recording_does(tmp_path: Path, items: list[
         np.testing.assert_allclose(ours, theirs + offset, atol=2e-3)
     np.testing.assert_allclose(np.asarray(live.state.velocity), np.asarray(recorded.state.velocity), atol=1e-3)
     np.testing.assert_allclose(np.asarray(live.state.quaternion), np.asarray(recorded.state.quaternion), atol=1e-9)
+
+
+@pytest.mark.parametrize("frame", ["", "a", "lidar", "livox_frame", "livox_frame_left"])
+def test_the_node_reads_custom_messages_as_ros_writes_them(frame: str):
+    store, points = bags.STORES[False], bags.wall(seed=0)[:3]
+    item = bags.livox(0.0, points, np.arange(3) * 10_000_000)
+    message = item.build(store, False)
+    message.header.frame_id, message.timebase = frame, 100 * 10**9
+    found, stamps, tags = decode_custom(bytes(store.serialize_cdr(message, item.type_name)))
+    np.testing.assert_array_equal(found, points.astype(np.float32))
+    np.testing.assert_allclose(stamps, 100.0 + np.arange(3) * 0.01)
+    assert not tags.any()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import pytest
 
@@ -70,3 +71,25 @@ def test_a_missing_ros_is_one_sentence(monkeypatch: pytest.MonkeyPatch):
 def test_a_missing_type_names_its_package():
     with pytest.raises(UserError, match=r"The messages px4_msgs/msg/X are not installed .* has the package px4_msgs"):
         message_class("px4_msgs/msg/X")
+
+
+def test_a_domain_that_does_not_exist_is_refused_in_one_sentence(monkeypatch: pytest.MonkeyPatch):
+    for number in (-1, 233):
+        with pytest.raises(UserError, match=f"can't start in domain {number}: .*check ROS_DOMAIN_ID"):
+            Graph(domain=number)
+    monkeypatch.setenv("ROS_DOMAIN_ID", "233")
+    with pytest.raises(UserError, match="can't start in domain 233: domains are 0 to 232"):
+        Graph()
+
+
+def test_a_callback_that_fails_stops_no_other(graph: Graph, start: Start, caplog: pytest.LogCaptureFixture):
+    received: list[str] = []
+
+    def take(message: Any) -> None:
+        received.append(message.data)
+        raise RuntimeError("a message that nobody expected")
+
+    start("tests.ros.publisher", "/text=reliable")
+    graph.subscribe("/text", STRING, take)
+    wait_until(lambda: len(received) > 2)
+    assert "a message that nobody expected" in caplog.text

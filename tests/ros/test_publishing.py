@@ -21,6 +21,7 @@ from aero_viz.ros.messages import diagnostics
 from aero_viz.ros.publishing import publish_session
 from aero_viz.session import Session
 from tests.ros.conftest import Start, wait_until
+from tests.session.test_drone_tuning import Drone, Pilot
 
 TOPICS = {"/odometry", "/goal", "/plan/best", "/plan/candidates", "/command/velocity", "/command/acceleration"}
 CELLS = {"/sweep", "/plan/guides", "/plan/cells", "/plan/filtered"}
@@ -151,6 +152,13 @@ def test_another_planner_brings_its_own_parameters(session: Session, peer: Peer)
     session.configure(small_config())
     wait_until(lambda: peer.ask(describe=["costs.q_track"]))
     assert peer.ask(set={"costs.q_track": 8.0, "line.gain": 1.0})[0] == "" and peer.ask(describe=["line.gain"]) == []
+
+
+def test_the_parameters_of_a_drone_that_is_shown_are_set_on_the_drone(domain: int, peer: Peer):
+    with closing(Drone()) as drone, closing(Pilot(drone.telemetry.port)) as pilot, publish_session(pilot.session):
+        assert peer.ask(get=["vehicle.speed_limit"]) == [5.0]
+        assert "its parameters are set on the drone" in peer.ask(set={"vehicle.speed_limit": 3.0})[0]
+        assert peer.ask(get=["vehicle.speed_limit"]) == [5.0]
 
 
 def test_a_flight_without_a_page_is_published_and_stays_the_same(

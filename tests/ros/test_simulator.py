@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import json
+import re
 import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +27,8 @@ from aero_viz.ros.graph import Graph
 from aero_viz.ros.simulator import RosConfig
 from aero_viz.scenes import World
 from aero_viz.session import Session
+from tests.cli.programs import interrupt, read_line
+from tests.dashboard.page_client import CAMERA, join, read_until, send
 from tests.ros.conftest import Start
 from tests.ros.test_publishing import Peer
 
@@ -79,6 +84,19 @@ def test_a_benchmark_counts_its_flights(
     run_json(capsys, "bench", "worlds", str(Path(open_world).parent), *arguments)
     with open(tmp_path / "out" / "flights.csv", newline="") as file:
         assert [row["reason"] for row in csv.DictReader(file)] == ["arrived"]
+
+
+def test_the_page_shows_the_flight_and_its_result_is_printed(start: Start, open_world: str):
+    start("tests.ros.commander", STAMPED)
+    command = [sys.executable, "-m", "aero_viz", "sim", open_world, "--ros", "--json", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (address := re.search(r" at http://(\S+)", read_line(process))):
+            assert process.poll() is None
+        with join(url=f"ws://{address[1]}") as visitor:
+            send(visitor, **CAMERA)  # the flight begins
+            read_until(visitor, "arrived")
+            assert json.loads(read_line(process))["reason"] == "arrived"
+        interrupt(process)
 
 
 def test_while_nobody_commands_the_drone_all_that_it_sees_is_published_and_then_it_says_what_is_missing(
@@ -147,6 +165,24 @@ def test_a_velocity_is_in_the_frame_of_its_header(frame: str, expected: list[flo
     assert control[3] == 0.4
     _, control = READERS["geometry_msgs/msg/Twist"](twist, NOW, lambda stamp: None).control(NOW)
     np.testing.assert_allclose(control[:3] / gain, [-1.0, 1.0, 0.0], atol=1e-6)
+
+
+def test_a_trajectory_of_one_point_is_a_setpoint_that_moves_on():
+    moving = SimpleNamespace(linear=vector(1.0, 0.0, 0.0))
+    point = SimpleNamespace(
+        transforms=[SimpleNamespace(translation=vector(1.0, 0.0, 2.0))], velocities=[moving], accelerations=[],
+        time_from_start=SimpleNamespace(sec=0, nanosec=0),
+    )  # fmt: skip
+    message = SimpleNamespace(header=SimpleNamespace(stamp=None), points=[point])
+    setpoint = READERS["trajectory_msgs/msg/MultiDOFJointTrajectory"](message, NOW, lambda stamp: None)
+    _, control = setpoint.control(NOW)
+    assert control == pytest.approx([Following().position_gain, 0.0, 0.0, 0.0])
+    _, later = setpoint.control(replace(NOW, time=NOW.time + 0.25))
+    assert later == pytest.approx([1.25 * Following().position_gain, 0.0, 0.0, 0.0])
+    point.velocities = []
+    assert READERS["trajectory_msgs/msg/MultiDOFJointTrajectory"](message, NOW, lambda stamp: None).path(
+        NOW, np.array([0.0, 1.0])
+    ) == pytest.approx(np.array([[1.0, 0.0, 2.0]] * 2))
 
 
 def test_a_path_without_times_is_flown_at_the_speed_limit_and_stops_at_its_end():

@@ -76,7 +76,11 @@ class LivePanel(Panel):
         source = self._stream_session.stream_source
         now, setup = source.stream.clock.now(), source.setup
         shown = [health for name, health in source.stream.topics.items() if name in (*setup.used, source.goal_topic)]
-        rows = "".join(_row(health, now) for health in shown if health.count or health.topic in setup.used)
+        rows = "".join(
+            _row(health, is_missed=health.topic in setup.used and health.is_silent(now))
+            for health in shown
+            if health.count or health.topic in setup.used
+        )
         behind = (now - source.newest.arrival) * 1e-9
         recorder = self._stream_session.recorder
         writing = "" if recorder is None else markup.pill(f"recording {recorder.ticks} ticks", palette.WARNING)
@@ -89,10 +93,10 @@ class LivePanel(Panel):
         )
 
 
-def _row(health: TopicHealth, now: int) -> str:
-    rate = f"{1.0 / health.period:.0f} Hz" if health.period else "-"
-    color = palette.WARNING if health.is_silent(now) else palette.GOOD
-    state = "silent" if health.is_silent(now) else rate
+def _row(health: TopicHealth, *, is_missed: bool) -> str:
+    """Return a topic as HTML; a goal that was sent once is silent, and not missed."""
+    rate = f"{1.0 / health.period:.0f} Hz" if health.period else f"{health.count} messages"
+    color, state = (palette.WARNING, "silent") if is_missed else (palette.GOOD, rate)
     offset = "" if health.offset is None else f", {1e3 * health.offset:.0f} ms old" if abs(health.offset) < 1.0 else ""
     left_out = f", {sum(health.unused.values())} left out" if health.unused else ""
     missing = f", {health.missing} missing" if health.missing else ""

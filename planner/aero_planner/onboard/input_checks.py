@@ -83,6 +83,8 @@ def _check_vehicle(sample: VehicleSample | None, rate: float, now: float, onboar
             "Check cable, mavlink.url, the autopilot's baud rate, and that it sends ODOMETRY or LOCAL_POSITION_NED and "
             "ATTITUDE_QUATERNION, for which it needs a position estimate."
         )
+        if onboard.state.source == "ros":
+            advice += f" {_arrives_in_ros(onboard.state.topic)}"
         return [Check("vehicle state", "nothing arrived", ok=False, advice=advice)]
     limits = onboard.limits
     age, heartbeat_age = now - sample.time, now - sample.heartbeat_time
@@ -186,6 +188,10 @@ def _check_dropped(link: VehicleLink) -> Iterator[Check]:
         yield Check("ignored messages", finding, ok=False, required=False, advice=advice)
 
 
+def _arrives_in_ros(topic: str) -> str:
+    return f"Check that ros2 topic hz {topic} counts messages on this computer, in the same ROS_DOMAIN_ID."
+
+
 def _check_points(
     lidar: PointSource, count: int, per_sweep: float, age: float, unplaced: int, onboard: OnboardConfig
 ) -> list[Check]:
@@ -193,8 +199,11 @@ def _check_points(
     if not counters.packets:
         advice = (
             "Check the cable, the sensor's power, and that its host address and lidar.port are those of this computer "
-            f"(port {onboard.lidar.port}); {counters.bad} packets were refused."
+            f"(port {onboard.lidar.port})"
         )
+        if onboard.lidar.source == "ros":
+            advice = _arrives_in_ros(onboard.lidar.topic).rstrip(".")
+        advice += f"; {counters.bad} packets were refused."
         return [Check("LiDAR", "nothing arrived", ok=False, advice=advice)]
     loss = counters.lost / max(counters.packets + counters.lost, 1)
     placed = 1.0 - unplaced / max(count, 1)

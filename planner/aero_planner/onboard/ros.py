@@ -1,4 +1,4 @@
-"""Points, state and parameters from ROS 2. The one module of the node that imports rclpy, when it is used.
+"""Points, state and parameters from ROS 2. Imports rclpy when it is used.
 
 Messages wait in bounded queues until the control loop takes them, so that nothing of ROS runs in that loop. No topic of
 the node is published: commands go to the autopilot over MAVLink alone.
@@ -6,9 +6,7 @@ the node is published: commands go to the autopilot over MAVLink alone.
 
 from __future__ import annotations
 
-import importlib
 import logging
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -16,6 +14,7 @@ from typing import Any
 from aero_planner.config import ParameterInfo, Value
 from aero_planner.onboard.host_clock import HostClock
 from aero_planner.onboard.odometry import RosOdometry
+from aero_planner.onboard.ros_node import RosNode, message_class, open_context
 from aero_planner.onboard.ros_points import RosPoints
 from aero_planner.onboard.ros_tuning import RosTuning
 from aero_planner.onboard.settings import OnboardConfig
@@ -25,7 +24,6 @@ _log = logging.getLogger(__name__)
 
 _SEARCH_PERIOD = 0.5  # [s] between two looks for the type of a topic
 _FOLLOW_PERIOD = 0.1  # [s] after which a value that has changed is one of the node's parameters, too
-_CLOSE_TIMEOUT = 5.0  # [s]
 _CLOUDS = {"sensor_msgs/msg/PointCloud2": False, "livox_ros_driver2/msg/CustomMsg": True}
 """Types of clouds, and whether their bytes are decoded here, since rclpy takes too long for them."""
 
@@ -48,8 +46,7 @@ class RosInputs:
 
     def __init__(self, config: OnboardConfig, *, clock: Callable[[], float] = time.monotonic) -> None:
         try:
-            rclpy = importlib.import_module("rclpy")
-            from rclpy.signals import SignalHandlerOptions
+            self._context = open_context()
         except ImportError as error:
             raise ImportError(
                 f"lidar.source or state.source is ros, and rclpy can't be imported ({error}); source ROS 2 "
@@ -61,18 +58,13 @@ class RosInputs:
         lidar, state = config.lidar, config.state
         self.points = RosPoints(stamps, clock, lidar.keep_uncertain) if lidar.source == "ros" else None
         self.odometry = RosOdometry(state, lidar_mount(config), stamps, clock) if state.source == "ros" else None
-        self._context = rclpy.Context()
-        try:
-            rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
-            self._inputs = _Member(self._context, "aero_planner")
-        except Exception as error:  # rclpy raises several unrelated classes
-            self._context.try_shutdown()
-            raise OSError(f"ROS 2 can't start: {error}; check ROS_DOMAIN_ID.") from error
-        self._members = [self._inputs]
+        self._inputs = RosNode(self._context, "aero_planner")
+        self._nodes = [self._inputs]
         if self.odometry is not None:
             self._subscribe(state.topic, "nav_msgs/msg/Odometry", self.odometry.receive)
         self._searched = lidar.topic if self.points is not None else None
         self._next_search = -float("inf")
+        self._refused: set[str] = set()
         self._inputs.start(self._search)
 
     def offer(self, tuning: RosTuning) -> None:
@@ -80,10 +72,10 @@ class RosInputs:
 
         The node has a thread of its own, since whoever sets a parameter waits for the next plan: no message does.
         """
-        member = _Member(self._context, "tuning", namespace="aero_planner", parameters=True)
-        NodeParameters(member.node, tuning.current, tuning.ask)
-        member.start()
-        self._members.append(member)
+        node = RosNode(self._context, "tuning", namespace="aero_planner", parameters=True)
+        NodeParameters(node.node, tuning.current, tuning.ask)
+        node.start()
+        self._nodes.append(node)
 
     def _search(self) -> None:
         if self._searched is not None and time.monotonic() >= self._next_search:
@@ -94,65 +86,31 @@ class RosInputs:
         """Subscribe to the topic of the points once somebody publishes it, with the type that it has."""
         assert self.points is not None
         for info in self._inputs.node.get_publishers_info_by_topic(topic):
-            if info.topic_type in _CLOUDS:
-                is_raw = _CLOUDS[info.topic_type]
-                self._subscribe(
-                    topic, info.topic_type, self.points.receive_custom if is_raw else self.points.receive, raw=is_raw
-                )
-            else:
-                _log.error("%s has messages of the type %s, which hold no points", topic, info.topic_type)
-            self._searched = None
-            return
+            if (kind := info.topic_type) in _CLOUDS:
+                is_raw = _CLOUDS[kind]
+                receive = self.points.receive_custom if is_raw else self.points.receive
+                self._subscribe(topic, kind, receive, raw=is_raw)
+                self._searched = None
+                return
+            if kind not in self._refused:
+                self._refused.add(kind)
+                _log.error("%s has messages of the type %s, which hold no points", topic, kind)
 
     def _subscribe(self, topic: str, kind: str, receive: Callable[[Any], None], *, raw: bool = False) -> None:
         from rclpy.qos import qos_profile_sensor_data
 
-        package, _, name = kind.partition("/msg/")
         try:
-            message = getattr(importlib.import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError) as error:
-            _log.error("%s can't be read: %s; source the workspace that has %s", topic, error, package)
+            message = message_class(kind)
+        except ImportError as error:
+            _log.error("%s can't be read: %s", topic, error)
             return
         self._inputs.node.create_subscription(message, topic, receive, qos_profile_sensor_data, raw=raw)
 
     def close(self) -> None:
         """Leave the graph."""
-        for member in self._members:
-            member.close()
+        for node in self._nodes:
+            node.close()
         self._context.try_shutdown()
-
-
-class _Member:
-    """A node, whose callbacks run on a thread of its own from `start` to `close`."""
-
-    def __init__(self, context: Any, name: str, *, namespace: str = "", parameters: bool = False) -> None:
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-
-        self.node = Node(name, context=context, namespace=namespace, start_parameter_services=parameters)
-        self._executor = SingleThreadedExecutor(context=context)
-        self._executor.add_node(self.node)
-        self._closed = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    def start(self, between: Callable[[], None] = lambda: None) -> None:
-        """Start the thread, which calls `between` from time to time."""
-
-        def run() -> None:
-            while not self._closed.is_set():
-                between()
-                self._executor.spin_once(timeout_sec=_SEARCH_PERIOD)
-
-        self._thread = threading.Thread(target=run, name=f"ros-{self.node.get_name()}", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        self._closed.set()
-        self._executor.wake()
-        if self._thread is not None:
-            self._thread.join(_CLOSE_TIMEOUT)
-        self._executor.shutdown(0.0)
-        self.node.destroy_node()
 
 
 class NodeParameters:
@@ -172,8 +130,8 @@ class NodeParameters:
         current: Callable[[], tuple[Sequence[ParameterInfo], Mapping[str, Value]]],
         ask: Callable[[Mapping[str, Any]], None],
     ) -> None:
-        from rclpy.clock import Clock
-        from rclpy.clock_type import ClockType
+        # Humble has no rclpy.clock_type.
+        from rclpy.clock import Clock, ClockType  # pyright: ignore[reportPrivateImportUsage]
 
         self._node, self._current, self._ask = node, current, ask
         self._declared: dict[str, ParameterInfo] = {}

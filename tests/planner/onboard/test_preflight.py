@@ -54,6 +54,10 @@ def test_missing_inputs_fail(drone: Simulation):
     assert not checks["vehicle state"].ok and "mavlink.url" in checks["vehicle state"].advice
     assert not checks["LiDAR"].ok and "lidar.port" in checks["LiDAR"].advice
     assert not checks["goal"].ok and not checks["goal"].required
+    config = OnboardConfig().replace({"lidar.source": "ros", "state.source": "ros", "lidar.topic": "/left/lidar"})
+    checks = run_checks(drone, config)
+    assert "ros2 topic hz /Odometry" in checks["vehicle state"].advice and "mavlink" in checks["vehicle state"].advice
+    assert "ros2 topic hz /left/lidar" in checks["LiDAR"].advice and "port" not in checks["LiDAR"].advice
 
 
 def test_only_the_faults_fail(drone: Simulation):
