@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 from numpy.typing import ArrayLike
 
@@ -25,6 +25,8 @@ _NEARER = 0.5
 _AHEAD_TIME, _AHEAD = 1.25, 2.0
 """The goal moves beyond a waypoint where the drone is nearer than the distance of this time [s] plus this distance [m]:
 earlier than a plan ends, which would otherwise brake there."""
+_DEVIATION = 0.2
+"""Share of the radius by which the straight way to that goal may miss the waypoint before the goal moves again."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class MissionEvent:
     """One sentence."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class MissionProgress:
     """Where a drone is in its mission. A waypoint that was passed or given up is never flown to again.
 
@@ -94,6 +96,28 @@ class MissionProgress:
         """Return where the planner should fly to at a time [s] [m]."""
         return self.beyond or self.waypoint.at(time - self.since)
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return what a log keeps of the progress at the beginning of a leg, without the mission."""
+        return {"index": self.index, "since": self.since, "events": [vars(event) for event in self.events]}
+
+    @classmethod
+    def from_dict(cls, mission: Mission, content: Any) -> MissionProgress:
+        """Return the progress that `to_dict` has written, of a mission; raises ValueError if it is none."""
+        try:
+            index, since = int(content["index"]), float(content["since"])
+            events = tuple(MissionEvent(**event) for event in content["events"])
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"the progress of a mission is damaged: {error}.") from error
+        if not 0 <= index <= len(mission) or not all(0 <= event.waypoint < len(mission) for event in events):
+            raise ValueError(f"the progress of a mission of {len(mission)} waypoints has others than these.")
+        return cls(mission, index, since, events, nearest_time=since)
+
+    def share(self, start: ArrayLike, position: ArrayLike) -> float:
+        """Return the share of the way from a start [m] that a drone at a position [m] has covered, 0 to 1."""
+        whole = self.mission.length(start)
+        left = 0.0 if self.is_over else Mission(self.mission.waypoints[self.index :]).length(position)
+        return max(0.0, 1.0 - left / whole) if whole > 0.0 else 1.0
+
     def advance(
         self, time: float, position: ArrayLike, speed: float, *, obstacle: Obstacle | None = None
     ) -> MissionProgress:
@@ -128,9 +152,13 @@ class MissionProgress:
             return here.give_up(time, obstacle=obstacle)
         return _aimed(here, speed, distance, comes_nearer=share >= 1.0)
 
-    def arrive(self, time: float) -> MissionProgress:
-        """Return the progress after an arrival at the present waypoint that others have judged [s]."""
-        distance = math.inf if self.place is None else math.dist(self.place, self.waypoint.position)
+    def jump(self, time: float) -> MissionProgress:
+        """Return the progress after the drone was put elsewhere at a time [s]: it has passed nothing on the way."""
+        return dataclasses.replace(self, beyond=None, nearest=math.inf, nearest_time=time, place=None)
+
+    def arrive(self, time: float, position: ArrayLike) -> MissionProgress:
+        """Return the progress after an arrival by other rules, at a time [s] and a position [m]."""
+        distance = math.dist(as_position(position), self.waypoint.position)
         return self if self.is_over else _ended(self, "stopped" if self.waypoint.stop else "passed", time, distance)
 
     def give_up(self, time: float, *, obstacle: Obstacle | None = None) -> MissionProgress:
@@ -164,11 +192,15 @@ def _ended(
 
 def _aimed(progress: MissionProgress, speed: float, distance: float, *, comes_nearer: bool) -> MissionProgress:
     """Return the progress with a goal beyond the waypoint where the drone comes near it and flies on."""
-    waypoint, place = progress.waypoint, progress.place
+    waypoint, place, beyond = progress.waypoint, progress.place, progress.beyond
     assert place is not None
-    if progress.beyond is not None:
-        is_missed = distance > progress.nearest + 2.0 * _NEARER
-        return dataclasses.replace(progress, beyond=None) if is_missed else progress
+    if beyond is not None:
+        if distance > progress.nearest + 2.0 * _NEARER:  # it is missed
+            return dataclasses.replace(progress, beyond=None)
+        nearest = between(place, beyond, _nearest_share(place, beyond, waypoint.position))
+        is_on_course = math.dist(nearest, waypoint.position) <= _DEVIATION * waypoint.radius
+        if is_on_course or distance <= waypoint.radius:
+            return progress
     reach = _AHEAD_TIME * speed + _AHEAD
     if progress.is_last or waypoint.stop or waypoint.path or not comes_nearer or not 0.0 < distance < reach:
         return progress

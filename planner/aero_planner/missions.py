@@ -198,6 +198,11 @@ class Mission:
         return len(self.waypoints)
 
     @property
+    def is_single(self) -> bool:
+        """True if there is one waypoint, which does not move."""
+        return len(self) == 1 and not self.waypoints[0].path
+
+    @property
     def goal(self) -> Position:
         """Position of the last waypoint [m]."""
         return self.waypoints[-1].position
@@ -239,9 +244,9 @@ def between(a: Position, b: Position, share: float) -> Position:
     return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * (b[2] - a[2])
 
 
-def point(place: Sequence[float]) -> str:
+def point(place: ArrayLike) -> str:
     """Return a place as text, such as "(10, 0, 2)"."""
-    return "(" + ", ".join(f"{round(value, 2) + 0.0:g}" for value in place) + ")"
+    return "(" + ", ".join(f"{round(value, 2) + 0.0:g}" for value in as_position(place)) + ")"
 
 
 def _short(value: Any) -> str:
