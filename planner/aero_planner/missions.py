@@ -23,7 +23,8 @@ RADIUS = 1.0
 """Default of the radius of a waypoint [m]."""
 TIMEOUT = 10.0
 """Default of the time without coming nearer after which a waypoint is given up [s]."""
-_COORDINATE_MAX = 100_000.0
+_COORDINATE_MAX = 1e8
+"""Maps may have the coordinates of a whole country [m]."""
 _RADIUS_MAX = 100.0
 _TIMEOUT_MAX = 600.0
 _ROWS_MAX = 100_000
@@ -206,6 +207,18 @@ class Mission:
     def goal(self) -> Position:
         """Position of the last waypoint [m]."""
         return self.waypoints[-1].position
+
+    def moved(self, offset: ArrayLike) -> Mission:
+        """Return the mission at another place: all positions and paths plus an offset [m]."""
+        x, y, z = as_position(offset)
+        if not any((x, y, z)):
+            return self
+        waypoints = []
+        for waypoint in self.waypoints:
+            path = tuple((t, a + x, b + y, c + z) for t, a, b, c in waypoint.path)
+            a, b, c = waypoint.position
+            waypoints.append(dataclasses.replace(waypoint, position=(a + x, b + y, c + z), path=path))
+        return Mission(tuple(waypoints))
 
     def places(self, start: ArrayLike) -> list[Position]:
         """Return the corners of the path from a start [m] along all waypoints, those of recorded paths included."""

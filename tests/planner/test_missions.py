@@ -183,7 +183,7 @@ def test_a_text_gives_a_waypoint(text: str, values: dict[str, Any]):
         ("10,0", "no three coordinates"),
         ("10,0,high", "a coordinate is 'high'; it must be a number"),
         ("10,0,nan", "z of the position is nan; it must be a finite number"),
-        ("10,0,1e9", "z of the position is 1e+09; it must be within 100000 m of the origin"),
+        ("10,0,1e9", "z of the position is 1e+09; it must be within 1e+08 m of the origin"),
         ("10,0,2,stops", "'stops' is unknown (did you mean 'stop'?)"),
         ("10,0,2,radius=0", "radius is 0; it must be greater than 0 and at most 100 m"),
         ("10,0,2,timeout=1e9", "timeout is 1e+09; it must be greater than 0 and at most 600 s"),
