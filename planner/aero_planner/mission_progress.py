@@ -22,9 +22,9 @@ STOPPED = 0.5
 """Speed below which a drone has stopped [m/s]."""
 _NEARER = 0.5
 """Decrease of the distance that counts as coming nearer [m]."""
-_AHEAD_TIME, _AHEAD = 1.25, 2.0
-"""The goal moves beyond a waypoint where the drone is nearer than the distance of this time [s] plus this distance [m]:
-earlier than a plan ends, which would otherwise brake there."""
+_AHEAD_TIME, _AHEAD = 0.6, 1.0
+"""The goal moves beyond a waypoint where the drone is nearer than the distance of this time [s] plus this distance [m],
+and by as much: later, the drone would brake; earlier, a way past a gate would be as good as the one through it."""
 _DEVIATION = 0.2
 """Share of the radius by which the straight way to that goal may miss the waypoint before the goal moves again."""
 
@@ -195,7 +195,7 @@ def _aimed(progress: MissionProgress, speed: float, distance: float, *, comes_ne
     waypoint, place, beyond = progress.waypoint, progress.place, progress.beyond
     assert place is not None
     if beyond is not None:
-        if distance > progress.nearest + 2.0 * _NEARER:  # it is missed
+        if not comes_nearer and distance > progress.nearest + 2.0 * _NEARER:  # it is missed
             return dataclasses.replace(progress, beyond=None)
         nearest = between(place, beyond, _nearest_share(place, beyond, waypoint.position))
         is_on_course = math.dist(nearest, waypoint.position) <= _DEVIATION * waypoint.radius
