@@ -262,7 +262,7 @@ def test_the_goal_beyond_a_waypoint_stays_in_line_with_it():
     first = progress.goal(time)
     progress, time = follow(progress, line((5.5, 0, 2), (6.5, 0.02, 2), speed=7.0), start=time)
     assert progress.goal(time) == first  # nearly in line: a goal that jumps costs the planner its memory
-    progress, time = follow(progress, line((6.5, 0.02, 2), (7, 1.5, 2), speed=7.0), start=time)
-    place, goal, waypoint = np.array([7.0, 1.5, 2.0]), np.array(progress.goal(time)), np.array([10.0, 0.0, 2.0])
+    progress, time = follow(progress, line((6.5, 0.02, 2), (7.5, 1.0, 2), speed=7.0), start=time)
+    place, goal, waypoint = np.array([7.5, 1.0, 2.0]), np.array(progress.goal(time)), np.array([10.0, 0.0, 2.0])
     ahead = (goal - place) / np.linalg.norm(goal - place)
     assert np.linalg.norm(np.cross(ahead, waypoint - place)) < 0.4
