@@ -9,15 +9,17 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from numpy.typing import ArrayLike
 
 from aero_planner.missions import Mission, Position, Waypoint, as_position, between, point
+from aero_planner.plain_text import one_line
 
 Obstacle = Callable[[Position, Position], str | None]
 """Says what is in the way from the first position to the second one, such as "it lies inside box 3"; None if nothing is
 known."""
+EventKind = Literal["passed", "stopped", "given_up"]
 STOPPED = 0.5
 """Speed below which a drone has stopped [m/s]."""
 _NEARER = 0.5
@@ -25,6 +27,7 @@ _NEARER = 0.5
 _AHEAD_TIME, _AHEAD = 0.6, 1.0
 """The goal moves beyond a waypoint where the drone is nearer than the distance of this time [s] plus this distance [m],
 and by as much: later, the drone would brake; earlier, a way past a gate would be as good as the one through it."""
+_TEXT_MAX = 1000
 _DEVIATION = 0.2
 """Share of the radius by which the straight way to that goal may miss the waypoint before the goal moves again."""
 
@@ -37,11 +40,21 @@ class MissionEvent:
     """[s]."""
     waypoint: int
     """Index in the mission."""
-    kind: Literal["passed", "stopped", "given_up"]
+    kind: EventKind
     distance: float
     """Smallest distance to the waypoint [m]."""
     text: str
     """One sentence."""
+
+    @classmethod
+    def from_dict(cls, content: Any) -> MissionEvent:
+        """Return the event of a mapping with the fields; raises KeyError, TypeError or ValueError if it is none."""
+        if content["kind"] not in get_args(EventKind):
+            raise ValueError(f"an event of a mission has an unknown kind; known: {', '.join(get_args(EventKind))}.")
+        numbers = float(content["time"]), int(content["waypoint"]), float(content["distance"])
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError("an event of a mission has numbers that are not finite.")
+        return cls(numbers[0], numbers[1], content["kind"], numbers[2], one_line(content["text"])[:_TEXT_MAX])
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +118,11 @@ class MissionProgress:
         """Return the progress that `to_dict` has written, of a mission; raises ValueError if it is none."""
         try:
             index, since = int(content["index"]), float(content["since"])
-            events = tuple(MissionEvent(**event) for event in content["events"])
-        except (KeyError, TypeError) as error:
+            events = tuple(MissionEvent.from_dict(event) for event in content["events"])
+        except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"the progress of a mission is damaged: {error}.") from error
+        if not math.isfinite(since):
+            raise ValueError("the progress of a mission has a time that is not finite.")
         if not 0 <= index <= len(mission) or not all(0 <= event.waypoint < len(mission) for event in events):
             raise ValueError(f"the progress of a mission of {len(mission)} waypoints has others than these.")
         return cls(mission, index, since, events, nearest_time=since)
@@ -173,7 +188,7 @@ class MissionProgress:
 
 def _ended(
     progress: MissionProgress,
-    kind: Literal["passed", "stopped", "given_up"],
+    kind: EventKind,
     time: float,
     distance: float,
     reason: str = "",

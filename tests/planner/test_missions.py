@@ -1,3 +1,4 @@
+import json
 import math
 from itertools import pairwise
 from typing import Any
@@ -239,6 +240,33 @@ def test_the_share_of_the_way_counts_all_legs():
     progress, _ = follow(progress, line((5, 0, 2), (10.1, 0, 2), speed=5.0))
     assert progress.share((0, 0, 2), (10, 5, 2)) == pytest.approx(0.75)
     assert progress.arrive(9.0, (10, 9, 2)).share((0, 0, 2), (10, 9, 2)) == 1.0
+
+
+def test_the_progress_of_a_log_is_read_again():
+    waypoints = mission("10,0,2", "20,0,2", "30,0,2")
+    progress, _ = follow(MissionProgress(waypoints), line((0, 0, 2), (12, 0, 2), speed=7.0))
+    again = MissionProgress.from_dict(waypoints, json.loads(json.dumps(progress.to_dict())))
+    assert (again.index, again.since, again.events) == (progress.index, progress.since, progress.events)
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"index": 4}, "has others than these"),
+        ({"index": 1e400}, "damaged"),
+        ({"since": None}, "damaged"),
+        ({"since": math.nan}, "not finite"),
+        ({"events": 3}, "damaged"),
+        ({"events": [{"kind": "passed"}]}, "damaged"),
+        ({"events": [{"kind": "lost"}]}, "unknown kind; known: passed, stopped, given_up"),
+        ({"events": [{"kind": "passed", "time": 0, "distance": math.inf, "waypoint": 0, "text": ""}]}, "not finite"),
+        ({"events": [{"kind": "passed", "time": 0, "distance": 0, "waypoint": 3, "text": ""}]}, "others than these"),
+    ],
+)
+def test_a_damaged_progress_is_refused(changes: dict[str, Any], problem: str):
+    content = {"index": 0, "since": 0.0, "events": [], **changes}
+    with pytest.raises(ValueError, match=problem):
+        MissionProgress.from_dict(mission("10,0,2", "20,0,2", "30,0,2"), content)
 
 
 def test_length_and_time_of_a_mission():
