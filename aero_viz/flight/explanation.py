@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aero_planner.missions import Mission, point
+from aero_planner.missions import Mission, as_position, point
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.scenes.primitives import rotate_z
@@ -132,16 +132,18 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
     """
     if problem := world_problem(world):
         raise UserError(problem)
-    *_, begin, end = world.route.places(world.start)  # of the last leg, which alone has a time limit
-    distance = math.dist(begin, end)
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight
-    speed_limit = world.route.waypoints[-1].speed or speed_limit
-    if distance - rules.arrival_radius > speed_limit * time_limit:
-        raise UserError(
-            f"The goal {point(world.goal)} of the world {world.name!r} is {distance:.0f} m away and cannot be reached "
-            f"at {speed_limit:g} m/s within the time limit of {time_limit:g} s; "
-            "give a nearer goal, or raise the time limit or the speed."
-        )
+    place, mission = as_position(world.start), world.route
+    for i, waypoint in enumerate(mission.waypoints, 1):
+        begin, place = place, waypoint.position
+        distance, speed = math.dist(begin, waypoint.at(0.0)), waypoint.speed or speed_limit
+        if distance - rules.arrival_radius > speed * time_limit:
+            name = "goal" if i == len(mission) else "waypoint"
+            raise UserError(
+                f"The {name} {point(place)} of the world {world.name!r} is {distance:.0f} m away and cannot be reached "
+                f"at {speed:g} m/s within the time limit of {time_limit:g} s; "
+                f"give a nearer {name}, or raise the time limit or the speed."
+            )
 
 
 def _outside(world: World, place: NDArray[np.float64]) -> str | None:

@@ -41,7 +41,7 @@ class FlightRecord:
     goal: wp.vec3
     """[m], world frame."""
     is_last: int
-    """1 if an arrival, a stall or a timeout ends the flight; 0 on the way to another waypoint of the mission."""
+    """1 if an arrival or a stall ends the flight; 0 on the way to a waypoint that others follow."""
     ticks: int
     """Number of ticks until the end of the flight."""
     length: float
@@ -119,9 +119,7 @@ def flight_outcome(rules: RuleParameters, lower: wp.vec3, upper: wp.vec3, positi
         outcome = ARRIVED
     elif not inside:
         outcome = OUT_OF_BOUNDS
-    elif record.is_last == 0:
-        outcome = FLYING
-    elif record.ticks - record.progress_tick >= rules.stall_ticks:
+    elif record.is_last != 0 and record.ticks - record.progress_tick >= rules.stall_ticks:
         outcome = STALL
     elif record.ticks - record.goal_tick >= rules.limit_ticks:
         outcome = TIMEOUT

@@ -205,7 +205,7 @@ class Simulator:
 
         Args:
             positions: the goals.
-            is_last: False if another goal follows, so that only a collision and the bounds of the world end a flight.
+            is_last: False if another goal follows, so that neither an arrival nor a stall ends a flight.
         """
         self._continue((ARRIVED, STALL, TIMEOUT), goal=positions, is_last=int(is_last))
 

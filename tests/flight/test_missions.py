@@ -173,10 +173,19 @@ def test_missions_that_no_drone_can_fly_are_refused():
         fly(outside, config=small_config())
     with pytest.raises(UserError, match=r"The goal \(9, 0, -1\) lies .* below the ground.*give another goal"):
         fly(field(route=mission("5,0,2", "9,0,-1")), config=small_config())
+    slow = field(route=mission("9,0,2,speed=0.2", "30,0,2,speed=0.2"))
+    with pytest.raises(UserError, match=r"The goal \(30, 0, 2\) .* is 21 m away and cannot be reached at 0\.2 m/s"):
+        fly(slow, config=small_config())
     source = FlightSource(far, lidar=LIDAR)
     with pytest.raises(UserError, match="The mission stays as it was"):
         source.set_mission(mission("5,0,200", "9,0,2"))
     np.testing.assert_array_equal(source.observe().goal.position, [5.0, 0.0, 2.0])
+
+
+def test_each_leg_has_the_time_limit():
+    world = field(route=mission("12,0,2", "24,0,2"))
+    result = fly(world, config=small_config(), lidar=LIDAR, rules=FlightRules(time_limit=0.5))
+    assert (result.reason, result.flight_time_s, result.waypoints_passed) == ("timeout", 0.5, 0)
 
 
 def test_a_batch_refuses_missions_and_serial_flights_fly_them():
