@@ -105,7 +105,8 @@ def load_world(
         return load_map(spec, voxel=voxel, start=start, goal=goal, across=across, points=read_cloud(spec))
     world = _load_file(spec) if is_file else scene(spec, seed=seed, count=count)
     try:
-        return replace(world, **{name: p for name, p in (("start", start), ("goal", goal)) if p is not None})
+        world = world if start is None else replace(world, start=start)
+        return world if goal is None else world.with_goal(goal)
     except ValueError as error:
         raise UserError(f"{spec}: {error}") from error
 

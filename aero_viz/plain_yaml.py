@@ -32,6 +32,21 @@ def compose_yaml(text: str) -> yaml.Node | None:
         raise ValueError(f"not YAML: {' '.join(str(error).split())[:200]}") from error
 
 
+def load_yaml(text: str) -> Any:
+    """Return the content of a text without aliases; None if it is empty.
+
+    Raises:
+        ValueError: as for `compose_yaml`, or it has aliases.
+    """
+    compose_yaml(text)
+    if any(isinstance(event, yaml.AliasEvent) for event in yaml.parse(text, yaml.SafeLoader)):
+        raise ValueError("YAML with aliases, which are not read; write the values themselves")
+    try:
+        return yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError) as error:
+        raise ValueError(f"not YAML: {' '.join(str(error).split())[:200]}") from error
+
+
 def plain_values(text: str, keys: Collection[str]) -> dict[str, Any]:
     """Return those of the keys that the outermost mapping of a text has, with their plain values or lists of them.
 

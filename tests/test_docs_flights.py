@@ -11,6 +11,7 @@ import pytest
 from command_line import run
 from documents import TEXTS, blocks, rows
 
+from aero_viz.cli.missions import load_mission
 from aero_viz.dashboard.layers import LAYERS
 from aero_viz.evaluation.bench import BENCHMARKS
 from aero_viz.flight import FlightResult
@@ -56,8 +57,22 @@ def test_coverage_equals_the_table():
             assert documented == pytest.approx(100.0 * coverage(lidar_model(name), cell=cell), abs=0.51), (name, cell)
 
 
+def test_the_mission_of_the_document_is_one(tmp_path: Path):
+    block = next(part for part in TEXT.split("```") if part.startswith("\nwaypoints:"))
+    (tmp_path / "tour.yaml").write_text(block, encoding="utf-8")
+    (tmp_path / "walk.csv").write_text("t,x,y,z\n0,25,0,2\n9,40,0,2\n", encoding="utf-8")
+    first, second, walk = load_mission(tmp_path / "tour.yaml").waypoints
+    assert (first.speed, second.radius, second.timeout, walk.stop, walk.duration) == (3.0, 0.5, 20.0, True, 9.0)
+
+
 def test_keys_of_a_world_file_are_complete():
     keys = re.findall(r'"(\w+)":', TEXT.split("**A world on disk**")[1].split("```")[1])
-    tables = {"cylinders": [[5, 5, 0, 0, 0, 1, 1, 2]], "motion": [[1, 0, 3]], "triangles": [[0] * 8 + [1]]}
+    mission = {"waypoints": [{"position": [9, 0, 2]}]}
+    tables = {
+        "mission": mission,
+        "cylinders": [[5, 5, 0, 0, 0, 1, 1, 2]],
+        "motion": [[1, 0, 3]],
+        "triangles": [[0] * 8 + [1]],
+    }
     world = World.from_dict({"name": "w", "start": [0, 0, 2], "goal": [9, 0, 2], **tables})
     assert set(keys) == {*json.loads(json.dumps(world.to_dict())), "bounds"}

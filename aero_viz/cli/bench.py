@@ -23,6 +23,7 @@ from aero_viz.cli.flags import (
     RayFlag,
     flight_rules,
 )
+from aero_viz.cli.missions import WaypointTexts, chosen_mission, fly_through
 from aero_viz.cli.output import print_json, print_report, progress_bar
 from aero_viz.errors import UserError
 from aero_viz.text_table import format_table
@@ -103,6 +104,8 @@ def bench_worlds(
     speed: float = 7.0,
     start: OptionalPoint = None,
     goal: OptionalPoint = None,
+    waypoint: WaypointTexts = (),
+    mission: OptionalPath = None,
     voxel: OptionalFloat = None,
     run_flags: Inline[RunFlags] = _RUN,
     config_flags: Inline[ConfigFlags] = _CONFIG,
@@ -119,6 +122,8 @@ def bench_worlds(
         speed: Speed limit [m/s].
         start: Start position x y z [m] in all worlds.
         goal: Goal position x y z [m] in all worlds.
+        waypoint: Waypoint in all worlds, see `fly`; may be repeated.
+        mission: YAML file of waypoints in all worlds.
         voxel: Voxel size for point-cloud maps, and pixel size for images [m].
         run_flags: The run.
         config_flags: The planner and its configuration.
@@ -127,7 +132,12 @@ def bench_worlds(
 
     if run_flags.output is not None and run_flags.output.resolve() == folder.resolve():
         raise UserError(f"{folder} is the folder of the worlds, which a report could replace; choose another --output.")
+    route = chosen_mission(waypoint, mission, goal=goal)
+    goal = goal if route is None else route.goal
     benchmark = folder_benchmark(folder, speed=speed, start=start, goal=goal, voxel=voxel)
+    if route is not None:
+        worlds = {name: fly_through(world, route) for name, world in benchmark.worlds.items()}
+        benchmark = dataclasses.replace(benchmark, worlds=worlds)
     _run(benchmark, run_flags, config_flags, flights=flights, external=())
 
 

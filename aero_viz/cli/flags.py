@@ -15,6 +15,7 @@ from aero_planner import PlannerConfig
 from aero_planner.config import DroneConfig, ParameterInfo
 from aero_planner.config.file import config_from_name
 from aero_viz.catalog import is_bag, is_map, load_world
+from aero_viz.cli.missions import WaypointTexts, chosen_mission, fly_through
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.flight.state_noise import StateNoise
@@ -27,6 +28,7 @@ from aero_viz.scenes.map_files import has_voxels
 from aero_viz.sensors.models import LIDARS, LidarModel, admit_lidars, lidar_model
 
 if TYPE_CHECKING:
+    from aero_planner.missions import Mission
     from aero_viz.scenes.world import World
 
 T = TypeVar("T")
@@ -306,6 +308,11 @@ class WorldFlags:
     """Start position x y z [m]; by default the world's own, on a map a free place."""
     goal: OptionalPoint = None
     """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
+    waypoint: WaypointTexts = ()
+    """Place to pass within a radius [m] (1), or to stop at; the last is the goal. May be repeated. speed limits its leg
+    [m/s]; it is given up after timeout [s] (10) without coming nearer. For x < 0 write --waypoint=-5,0,2."""
+    mission: OptionalPath = None
+    """YAML file of such waypoints, or of recorded paths to follow, instead."""
     voxel: OptionalFloat = None
     """Voxel size for a point-cloud map [m], about the spacing of its points; pixel size for an occupancy image."""
 
@@ -325,4 +332,11 @@ class WorldFlags:
             )
         if self.voxel is not None and not (has_voxels(spec) or is_bag(spec)):
             raise UserError(f"{spec} has no voxels; leave --voxel out.")
-        return load_world(spec, seed=seed, **vars(self))
+        route = self.route()
+        goal = self.goal if route is None else route.goal
+        world = load_world(spec, seed=seed, count=self.count, start=self.start, goal=goal, voxel=self.voxel)
+        return world if route is None else fly_through(world, route)
+
+    def route(self) -> Mission | None:
+        """Return the mission that the flags describe, None for a single goal; raises UserError."""
+        return chosen_mission(self.waypoint, self.mission, goal=self.goal)

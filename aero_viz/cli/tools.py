@@ -152,6 +152,8 @@ def _fit_world(
         raise UserError(
             "Solids that are fitted to a cloud have neither a number nor voxels; leave --count and --voxel out."
         )
+    if flags.route() is not None:
+        raise UserError("Solids are fitted without waypoints; leave --waypoint and --mission out.")
     points = read_cloud(cloud)
     fitted = fit_world(points, cloud, tolerance=tolerance, start=flags.start, goal=flags.goal)
     export_world(fitted.world, output, spacing=spacing)

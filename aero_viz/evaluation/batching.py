@@ -49,10 +49,10 @@ class FlightOptions:
     ) -> FlightBatch | SerialFlights:
         """Return a batch of flights; see `FlightBatch` for the arguments and errors.
 
-        Only AERO-MPPI flies all of them at once; flights of other planners follow one another.
+        Only AERO-MPPI flies all of them at once; flights of other planners and missions follow one another.
         """
         on_device = [config for config in configs if isinstance(config, PlannerConfig) and is_aero_mppi(config)]
-        if len(on_device) == len(configs):
+        if len(on_device) == len(configs) and not any(world.mission for world in worlds):
             return FlightBatch(worlds, config=on_device, seed=seeds, config_names=names, threads=threads, **vars(self))
         return SerialFlights(worlds, configs=configs, seeds=seeds, names=names, options=dict(vars(self)))
 

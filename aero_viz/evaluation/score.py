@@ -64,8 +64,7 @@ def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Traje
         UserError: the file cannot be read, is not a trajectory, or is too sparse. The text names file, line and column.
     """
     path = Path(path)
-    is_table = path.suffix.lower() in (".csv", ".txt")
-    trajectory = _read_csv(path) if is_table else _read_recording(path, pose_topic)
+    trajectory = read_trajectory(path, pose_topic=pose_topic)
     steps = np.diff(trajectory.times)
     if len(steps) == 0 or np.median(steps) > _MAX_MEDIAN_STEP:
         raise UserError(
@@ -80,6 +79,11 @@ def load_trajectory(path: str | Path, *, pose_topic: str | None = None) -> Traje
             f"leave no gap longer than {_MAX_STEP:g} s."
         )
     return trajectory
+
+
+def read_trajectory(path: Path, *, pose_topic: str | None = None) -> Trajectory:
+    """Return the trajectory in a file, however sparse; otherwise as `load_trajectory`."""
+    return _read_csv(path) if path.suffix.lower() in (".csv", ".txt") else _read_recording(path, pose_topic)
 
 
 def other_world(path: str | Path, world: World) -> str | None:

@@ -32,6 +32,8 @@ class WorldInfo:
         counts = {name: len(getattr(world, name)) for name in ("cylinders", "boxes", "spheres", "triangles")}
         places = {name: getattr(world, name).tolist() for name in ("start", "goal", "bounds")}
         searched = [corner.tolist() for corner in search_box(world.standing())]
+        if world.mission is not None:
+            places["mission"] = world.mission.to_dict()
         return {"name": world.name, **counts, "ground_height": world.ground_height, **places, "radius": self.radius,
                 "problem": world_problem(world), "searched": searched, **self.about}  # fmt: skip
 
@@ -50,6 +52,7 @@ class WorldInfo:
             ["ground", "none known" if ground is None else f"{ground:.2f} m"],
             ["start", _position(content["start"])],
             ["goal", f"{_position(content['goal'])}, {way:.1f} m away"],
+            *self._mission_rows(),
             ["airspace", f"{_position(content['bounds'][0])} to {_position(content['bounds'][1])}"],
             [f"path for a radius of {self.radius:g} m", "yes" if about["passable"] else "no"],
             ["searched", f"{_position(content['searched'][0])} to {_position(content['searched'][1])}"],
@@ -67,6 +70,12 @@ class WorldInfo:
             ["difficulty", f"{about['difficulty']:.2f}, the sum of the three (FlightBench)"],
         ]
         return format_table(rows)
+
+    def _mission_rows(self) -> list[list[str]]:
+        mission = self.world.mission
+        if mission is None:
+            return []
+        return [["mission", f"{len(mission)} waypoints, {mission.length(self.world.start):.1f} m in all"]]
 
 
 def examine_world(world: World, *, radius: float) -> WorldInfo:

@@ -359,9 +359,8 @@ def _no_progress(trace: FlightTrace, facts: dict[str, Any], replan: Replanner) -
     nearest = ", ".join(f"{name} ({n})" for name, n in blocking.most_common(4))
     unsafe, weight = sum(not row["safe"] for row in anchors), config.costs.q_blocked
     again, stops = _again(Decision.of(last).is_recorded), _stops(frames)
-    remaining = np.linalg.norm(np.asarray(last.observation.goal.position) - trace.end_position)
     sentences = [
-        f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
+        *_end_sentences(trace),
         f"{unsafe} of {len(anchors)} anchors are unsafe in the last plan{again}."
         + (f" Nearest to the anchors: {nearest}." if nearest else ""),
         *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
@@ -386,10 +385,9 @@ def _no_progress_of_paths(
     """Explain a flight without a collision by what every planner tells: its status, and its candidates' costs."""
     frames, plan, best = list(trace.frames), evidence.plan, int(evidence.plan.best)
     stops = _stops(frames)
-    remaining = np.linalg.norm(np.asarray(trace.last.observation.goal.position) - trace.end_position)
     terms = ", ".join(f"{name} {cost[best]:.3g}" for name, cost in plan.costs.items())
     sentences = [
-        f"It ended {remaining:.1f} m from the goal, at {_point(trace.end_position)}.",
+        *_end_sentences(trace),
         f"{np.count_nonzero(evidence.is_safe)} of {len(plan.kinds)} candidates are safe in the last plan.",
         f"It chose candidate {best} ({plan.kinds[best]}), at a cost of {float(plan.cost[best]):.3g}: {terms}.",
         *(f"{why.capitalize()} in {count} of the last {len(frames)} ticks." for why, count in stops.items() if count),
@@ -399,6 +397,17 @@ def _no_progress_of_paths(
     motion = nearer if approach > _APPROACH_MIN else "moving without coming nearer"
     cause = next((why for why, count in stops.items() if count > 0.5 * len(frames)), motion)
     return PostMortem(**facts, cause=f"{name}: {cause}", sentences=sentences, missing=trace.missing), evidence
+
+
+def _end_sentences(trace: FlightTrace) -> list[str]:
+    """Return how far from its goal the flight ended, after the waypoints that it gave up."""
+    observation, end = trace.last.observation, trace.end_position
+    place, name, given_up = np.asarray(observation.goal.position), "the goal", []
+    if (mission := observation.mission) is not None:
+        given_up = [event.text for event in mission.events if event.kind == "given_up"]
+        place = np.array(mission.waypoint.at(trace.end_time - mission.since))
+        name = name if mission.is_last else f"waypoint {mission.index + 1} of {len(mission.mission)}"
+    return [*given_up, f"It ended {np.linalg.norm(place - end):.1f} m from {name}, at {_point(end)}."]
 
 
 def _approach(frames: list[Frame]) -> float:

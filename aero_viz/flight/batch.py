@@ -106,6 +106,11 @@ class FlightBatch:
     ) -> None:
         if len(worlds) == 0:
             raise ValueError("there are no worlds to fly; give one per flight.")
+        for world in worlds:
+            if world.mission is not None:
+                raise ValueError(
+                    f"the world {world.name!r} has a mission, which a batch cannot fly; use SerialFlights."
+                )
         config = PlannerConfig() if config is None else config
         configs = [config] * len(worlds) if isinstance(config, PlannerConfig) else list(config)
         names = {id(c): c.preset_name for c in configs} if config_names is None else {}

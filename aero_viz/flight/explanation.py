@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.missions import Mission, as_position, point
 from aero_viz.errors import UserError
 from aero_viz.flight.rules import FlightRules
 from aero_viz.scenes.primitives import rotate_z
 from aero_viz.scenes.world import World
+
+_STEP = 0.1
+"""Distance between two places at which the way to a waypoint is examined [m]."""
 
 
 def explain(
@@ -34,7 +40,7 @@ def explain(
     """
     place = np.asarray(position, dtype=np.float64)
     remaining = float(np.linalg.norm(np.asarray(goal, dtype=np.float64) - place))
-    where = f"at {_point(place)}"
+    where = f"at {point(place)}"
     if reason == "arrived":
         return None
     if reason == "collision":
@@ -67,7 +73,38 @@ def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
             where = f"{depth:.2f} m below the ground of the world {world.name!r}"
         elif distance < 0.0:
             where = f"inside an obstacle of the world {world.name!r}, {-distance:.2f} m deep in {solid}"
-    return where and f"The goal {_point(goal)} lies {where}"
+    return where and f"The goal {point(goal)} lies {where}"
+
+
+def mission_problem(world: World, mission: Mission) -> str | None:
+    """Return why no drone can fly a mission to its end; None if nothing prevents it.
+
+    A waypoint on the way may lie in an obstacle: it is flown around or given up.
+    """
+    for i, waypoint in enumerate(mission.waypoints[:-1], 1):
+        for place in [row[1:] for row in waypoint.path] or [waypoint.position]:
+            if where := _outside(world, np.array(place)):
+                return f"Waypoint {i} of {len(mission)}, {point(place)}, lies {where}"
+    return goal_problem(world, np.array(mission.goal))
+
+
+def obstruction(world: World, place: ArrayLike, waypoint: ArrayLike, *, radius: float) -> str | None:
+    """Return what is in the way of a drone to a waypoint, such as "box 3 stands in between"; None if nothing is.
+
+    Args:
+        world: the world.
+        place: position of the drone [m], [3].
+        waypoint: [m], [3].
+        radius: of the drone [m].
+    """
+    a, b = np.asarray(place, dtype=np.float64), np.asarray(waypoint, dtype=np.float64)
+    distance, solid = world.nearest(b)
+    if distance < radius:
+        return f"it lies inside {solid}" if distance < 0.0 else f"it lies only {distance:.2f} m from {solid}"
+    shares = np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(b - a) / _STEP)))
+    path = a + shares[:, None] * (b - a)
+    near = np.flatnonzero(world.distance(path) < radius)
+    return f"{world.nearest(path[near[0]])[1]} stands in between" if len(near) else None
 
 
 def world_problem(world: World) -> str | None:
@@ -76,9 +113,9 @@ def world_problem(world: World) -> str | None:
     A start inside an obstacle is no problem: that flight collides.
     """
     if where := _outside(world, world.start):
-        return f"The start {_point(world.start)} lies {where}; give another start."
-    problem = goal_problem(world.standing(), world.goal)
-    return problem and f"{problem}; give another goal."
+        return f"The start {point(world.start)} lies {where}; give another start."
+    problem = mission_problem(world.standing(), world.route)
+    return problem and f"{problem}; give another {'goal' if problem.startswith('The goal') else 'waypoint'}."
 
 
 def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
@@ -95,18 +132,18 @@ def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -
     """
     if problem := world_problem(world):
         raise UserError(problem)
-    distance = float(np.linalg.norm(world.goal - world.start))
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight
-    if distance - rules.arrival_radius > speed_limit * time_limit:
-        raise UserError(
-            f"The goal {_point(world.goal)} of the world {world.name!r} is {distance:.0f} m away and cannot be reached "
-            f"at {speed_limit:g} m/s within the time limit of {time_limit:g} s; "
-            "give a nearer goal, or raise the time limit or the speed."
-        )
-
-
-def _point(place: NDArray[np.float64]) -> str:
-    return "(" + ", ".join(f"{round(float(value), 2) + 0.0:g}" for value in place) + ")"
+    place, mission = as_position(world.start), world.route
+    for i, waypoint in enumerate(mission.waypoints, 1):
+        begin, place = place, waypoint.position
+        distance, speed = math.dist(begin, waypoint.at(0.0)), waypoint.speed or speed_limit
+        if distance - rules.arrival_radius > speed * time_limit:
+            name = "goal" if i == len(mission) else "waypoint"
+            raise UserError(
+                f"The {name} {point(place)} of the world {world.name!r} is {distance:.0f} m away and cannot be reached "
+                f"at {speed:g} m/s within the time limit of {time_limit:g} s; "
+                f"give a nearer {name}, or raise the time limit or the speed."
+            )
 
 
 def _outside(world: World, place: NDArray[np.float64]) -> str | None:

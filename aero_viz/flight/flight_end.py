@@ -40,6 +40,8 @@ class FlightRecord:
 
     goal: wp.vec3
     """[m], world frame."""
+    is_last: int
+    """1 if an arrival or a stall ends the flight; 0 on the way to a waypoint that others follow."""
     ticks: int
     """Number of ticks until the end of the flight."""
     length: float
@@ -113,11 +115,11 @@ def flight_outcome(rules: RuleParameters, lower: wp.vec3, upper: wp.vec3, positi
     outcome = FLYING
     if record.clearance_min < rules.radius:  # no earlier tick was that close, or the flight would have ended there
         outcome = COLLISION
-    elif wp.length(record.goal - position) <= rules.arrival_radius:
+    elif record.is_last != 0 and wp.length(record.goal - position) <= rules.arrival_radius:
         outcome = ARRIVED
     elif not inside:
         outcome = OUT_OF_BOUNDS
-    elif record.ticks - record.progress_tick >= rules.stall_ticks:
+    elif record.is_last != 0 and record.ticks - record.progress_tick >= rules.stall_ticks:
         outcome = STALL
     elif record.ticks - record.goal_tick >= rules.limit_ticks:
         outcome = TIMEOUT

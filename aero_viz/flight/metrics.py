@@ -56,7 +56,11 @@ class FlightResult:
     scene: str
     config: str
     explanation: str | None = None
-    """One sentence on how the flight ended; None for an arrival."""
+    """One sentence on how the flight ended, after one for each waypoint that was given up; None for an arrival."""
+    waypoints: int | None = None
+    """Number of waypoints of the mission; None for a single goal."""
+    waypoints_passed: int | None = None
+    """Number of waypoints that were passed or stopped at, in their order; None for a single goal."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields in a form that JSON can represent."""
@@ -132,6 +136,7 @@ def initial_records(starts: NDArray[np.float64], goals: NDArray[np.float64]) -> 
     struct: Any = FlightRecord
     records = np.zeros(len(starts), dtype=np.dtype(struct.numpy_dtype()))
     records["goal"] = goals
+    records["is_last"] = 1
     records["clearance_min"] = np.inf
     records["progress_position"] = starts
     return records

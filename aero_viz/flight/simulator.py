@@ -99,7 +99,7 @@ class Simulator:
         self.device = find_device(device)
         self._worlds = DeviceWorlds(worlds, device=self.device)
         starts = np.stack([world.start for world in worlds])
-        goals = np.stack([world.goal for world in worlds])
+        goals = np.array([world.route.waypoints[0].at(0.0) for world in worlds])
         direction = goals - starts
         headings = np.arctan2(direction[:, 1], direction[:, 0])
         options: Any = {"seeds": seeds, "latency_max": latency_max}
@@ -198,12 +198,16 @@ class Simulator:
         """Return the outcome of each flight, None while it is flying."""
         return [OUTCOMES[i] for i in self.outcome.numpy()]
 
-    def set_goal(self, positions: ArrayLike) -> None:
+    def set_goal(self, positions: ArrayLike, *, is_last: bool = True) -> None:
         """Move the goals to `positions` [m], [B, 3], world frame.
 
         Flights that have arrived, stalled or run out of time continue, with the full time limit.
+
+        Args:
+            positions: the goals.
+            is_last: False if another goal follows, so that neither an arrival nor a stall ends a flight.
         """
-        self._continue((ARRIVED, STALL, TIMEOUT), goal=positions)
+        self._continue((ARRIVED, STALL, TIMEOUT), goal=positions, is_last=int(is_last))
 
     def set_position(self, positions: ArrayLike) -> None:
         """Put the drones at `positions` [m], [B, 3], world frame, with their velocities. Every flight continues."""

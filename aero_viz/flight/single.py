@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from aero_planner import PlannerConfig, VehicleState
 from aero_planner.config import DroneConfig
+from aero_planner.mission_progress import MissionProgress
 from aero_viz.errors import UserError
 from aero_viz.flight.explanation import refuse_impossible
 from aero_viz.flight.interrupt import FlightInterrupted, deferred_interrupt
@@ -31,7 +31,7 @@ from aero_viz.session.engine import PLANNER_FAILED
 from aero_viz.session.frame import Frame
 
 FlightProgress = Callable[[float, float], None]
-"""Called with the share of the distance to the goal that is covered, 0 to 1, and the simulated time [s]."""
+"""Called with the share of the way to the goal that is covered, 0 to 1, and the simulated time [s]."""
 
 
 class FlightRecorder(Protocol):
@@ -143,7 +143,8 @@ def fly(
             if active_recorder is not None:
                 active_recorder.write(frame)
             if progress is not None:
-                progress(distance_share(world, frame.observation.actual_state.position), frame.time)
+                mission = frame.observation.mission or MissionProgress(world.route)
+                progress(mission.share(world.start, frame.observation.actual_state.position), frame.time)
             ended = is_interrupted() or source.outcome is not None or frame.outcome is not None
             failure = frame.explanation if source.outcome is None and frame.outcome is not None else None
         median = statistics.median(plan_ms) if plan_ms else None
@@ -154,10 +155,3 @@ def fly(
     if interrupted:
         raise FlightInterrupted(result)
     return result
-
-
-def distance_share(world: World, position: ArrayLike) -> float:
-    """Return the share of the distance from start to goal that a drone at `position` [m], [3], has covered, 0 to 1."""
-    whole = float(np.linalg.norm(world.goal - world.start))
-    left = float(np.linalg.norm(world.goal - np.asarray(position, dtype=np.float64)))
-    return max(0.0, 1.0 - left / whole) if whole > 0.0 else 1.0

@@ -12,10 +12,13 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Arrival, Goal, PlannerConfig, Sweeps, VehicleState
+from aero_planner.mission_progress import MissionProgress
+from aero_planner.missions import Mission
 from aero_viz.errors import UserError
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
-from aero_viz.flight.explanation import goal_problem
+from aero_viz.flight.explanation import goal_problem, mission_problem
 from aero_viz.flight.flight_settings import FlightSettings
+from aero_viz.flight.flown_mission import FlownMission
 from aero_viz.flight.memory import DEFAULT_MEMORY, MOST_SWEEPS, SWEEPS, WHOLE_SWEEPS, remembered_sweeps
 from aero_viz.flight.metrics import FlightResult, flight_results
 from aero_viz.flight.rules import FlightRules
@@ -42,7 +45,7 @@ class _Checkpoint:
     sweeps: tuple[Sweep, ...]
     scans: tuple[Scan, ...]
     """Scans of the sweep in progress."""
-    goal: NDArray[np.float64]
+    mission: MissionProgress
     setting: Setting
     owner: object
     """Identifies the source that made the checkpoint."""
@@ -110,7 +113,7 @@ class FlightSource:
         self._setting = Setting(world, simulator.lidar.model, simulator.vehicle.model, noise)
         self._measured = self._setting
         """Setting of the simulator."""
-        self._seed, self._goal = seed, world.goal
+        self._seed, self._mission = seed, FlownMission(simulator, world)
         self._owner = object()
         self._cache = SweepCache(self._measure)
         with wp.ScopedDevice(self.simulator.device):
@@ -137,7 +140,8 @@ class FlightSource:
             self._observation = Observation(
                 time=self.simulator.time,
                 state=self._state,
-                goal=Goal(self._goal),
+                goal=Goal(self._mission.goal),
+                mission=self._mission.progress,
                 sweeps=sweeps,
                 cloud_age=self._cloud_age,
                 empty_is_clear=True,
@@ -162,6 +166,7 @@ class FlightSource:
             before = self._pose
             sweep, first, end = self.simulator.advance(commands, phase=k * rules.period / step)
             self._read_state()
+            self._mission.follow(self._true_state, self._setting.world, outcome=self.outcome)
             if self.outcome is None:  # the LiDAR of a finished flight measures nothing
                 self._scans = (*self._scans, Scan(sweep, first, end, before, self._pose, self._setting))
                 self._parts.append(self._new_points(first, end))
@@ -175,7 +180,7 @@ class FlightSource:
         """Return the state that `restore` needs: about a kilobyte, whatever the size of the cloud."""
         tick, arrays = self.simulator.checkpoint()
         state = b"".join([array.tobytes() for array in arrays])
-        return _Checkpoint(tick, state, self._sweeps, self._scans, self._goal, self._setting, self._owner)
+        return _Checkpoint(tick, state, self._sweeps, self._scans, self._mission.progress, self._setting, self._owner)
 
     def restore(self, checkpoint: object) -> None:
         """Continue from a checkpoint of this source or its twin. The same plans then give the same flight, bit for bit.
@@ -195,7 +200,8 @@ class FlightSource:
             values.append(np.frombuffer(checkpoint.state, array.dtype, array.size, offset).reshape(array.shape))
             offset += array.nbytes
         self.simulator.restore((checkpoint.tick, values))
-        self._goal, self._scans = checkpoint.goal, checkpoint.scans
+        self._mission.restore(checkpoint.mission)
+        self._scans = checkpoint.scans
         self._parts = [self._measure(scan) for scan in self._scans]
         self._use(self._setting)
         is_own = checkpoint.owner is self._owner
@@ -240,9 +246,20 @@ class FlightSource:
             raise UserError(f"The goal {np.asarray(position).tolist()} is not a position; give three finite numbers.")
         if problem := goal_problem(self._setting.world.at(self.simulator.time), goal):
             raise UserError(f"{problem}. The goal stays where it was; give a free position.")
-        goal.flags.writeable = False
-        self._goal = goal
-        self.simulator.set_goal(goal[None])
+        self._mission.begin(Mission.to_goal(goal))
+        self._read_state()
+
+    def set_mission(self, mission: Mission) -> None:
+        """Fly another mission from here, from its first waypoint on.
+
+        A flight that has arrived, stalled or run out of time continues.
+
+        Raises:
+            UserError: a waypoint lies outside the world's bounds, or the last one in an obstacle. The mission stays.
+        """
+        if problem := mission_problem(self._setting.world.at(self.simulator.time), mission):
+            raise UserError(f"{problem}. The mission stays as it was; give free positions.")
+        self._mission.begin(mission)
         self._read_state()
 
     def set_world(self, world: World) -> None:
@@ -251,7 +268,7 @@ class FlightSource:
         Raises:
             UserError: the goal would lie in an obstacle. The world stays.
         """
-        if problem := goal_problem(world.at(self.simulator.time), self._goal):
+        if problem := goal_problem(world.at(self.simulator.time), np.array(self._mission.progress.mission.goal)):
             raise UserError(f"{problem}. The obstacles stay as they were; move the goal first.")
         self._change(world=world)
 
@@ -278,6 +295,7 @@ class FlightSource:
         if not inside or world.distance(place[None])[0] <= radius:
             raise UserError("The drone does not fit there; it stays where it was. Give a free position.")
         self.simulator.set_position(place[None])
+        self._mission.jump()
         self._read_state()
 
     def _obey(self, model: str) -> None:
@@ -302,7 +320,7 @@ class FlightSource:
     def result(self) -> FlightResult:
         """Return the metrics of the flight so far."""
         simulator = self.simulator
-        return flight_results(
+        (result,) = flight_results(
             simulator.records(),
             [self.outcome],
             [self._setting.world],
@@ -311,7 +329,8 @@ class FlightSource:
             seeds=[self._seed],
             configs=[""],
             plan_ms=None,
-        )[0]
+        )
+        return self._mission.complete(result)
 
     def close(self) -> None:
         """Do nothing: device memory is released with the source."""

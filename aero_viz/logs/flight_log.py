@@ -16,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
+from aero_planner.mission_progress import MissionProgress
 from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
 from aero_planner.output_files import open_alone
 from aero_viz.errors import UserError
@@ -36,7 +37,8 @@ class FlightLog:
 
     Attachments hold every configuration, and the world and settings of every source: world.json and flight.json for the
     first, world_1.json and flight_1.json for the next. Changes during a flight have the stamp of their frame: the whole
-    world is world_change_1.json, wind and faults are conditions_change_2.json. A log must be used from one thread.
+    world is world_change_1.json, wind and faults are conditions_change_2.json, and the next leg of a mission, with how
+    the one before it has ended, is leg_change_3.json. A log must be used from one thread.
 
     Args:
         path: file to write; an existing file is replaced.
@@ -88,15 +90,19 @@ class FlightLog:
         messages = self._messages.encode(frame)
         if last is None or last.source is not frame.source:
             self._attach_source(frame.source)
-            last_world, conditions = frame.source.world, frame.observation.conditions
+            last_world, conditions, mission = frame.source.world, frame.observation.conditions, None
         else:
             last_world, conditions = last.moving_world, last.observation.conditions
+            mission = last.observation.mission
         if frame.moving_world is not last_world and frame.moving_world is not None:
             self._attach_change("world", frame.moving_world.to_dict())
         if frame.observation.conditions != conditions:
             self._attach_change("conditions", frame.observation.conditions)
-        if last is None or last.config is not frame.config:
-            self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(frame.config))
+        if frame.observation.mission is not None:
+            self._attach_leg(mission, frame.observation.mission)
+        config = frame.base_config or frame.config
+        if last is None or (last.base_config or last.config) is not config:
+            self._attach(f"config_{frame.config_version}.yaml", "application/yaml", format_config(config))
         for message, stamp in messages:
             self._add(message, stamp)
         self.frames += 1
@@ -133,6 +139,17 @@ class FlightLog:
             self._attach(f"world{suffix}", "application/json", json.dumps(source.world.to_dict(), allow_nan=False))
         settings = {"source": source.name, **source.settings}
         self._attach(f"flight{suffix}", "application/json", json.dumps(settings, allow_nan=False))
+
+    def _attach_leg(self, last: MissionProgress | None, now: MissionProgress) -> None:
+        """Attach the progress at the beginning of a leg, and the mission if it is another one.
+
+        A mission to a single goal is told by the topic of the goal.
+        """
+        is_new = last is None or last.mission is not now.mission
+        is_told = now.mission.is_single and (last is None or last.mission.is_single)
+        if not is_told and (is_new or last is None or last.index != now.index):
+            mission = {"mission": now.mission.to_dict()} if is_new else {}
+            self._attach_change("leg", {**mission, "progress": now.to_dict()})
 
     def _attach_change(self, name: str, content: Any) -> None:
         self._changes += 1

@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from aero_planner.mission_progress import MissionProgress
+from aero_planner.missions import Mission
 from aero_planner.onboard.ros_messages import COSTS, COSTS_DEFINITION, PLAN, PLAN_DEFINITION
 from aero_planner.plan import PlanStatus
 from aero_planner.user_file import open_user_file, parse_json
@@ -103,6 +105,26 @@ class LogContents:
             return None if content is None else World.from_dict(content)
         except ValueError as error:
             raise UserError(f"The world in {self.path} is damaged: {error}") from error
+
+    def legs(self) -> list[tuple[int, MissionProgress]]:
+        """Return time [ns] and progress at the beginning of each leg of the missions; empty if there were none.
+
+        Raises:
+            UserError: one is damaged.
+        """
+        names = [name for name in self.attachments if name.startswith("leg_change")]
+        legs: list[tuple[int, MissionProgress]] = []
+        mission: Mission | None = None
+        for name in sorted(names, key=lambda name: (self.stamps[name], len(name), name)):
+            content = self._json(name)
+            try:
+                mission = Mission.from_dict(content["mission"]) if "mission" in content else mission
+                if mission is None:
+                    raise ValueError("its mission is missing.")
+                legs.append((self.stamps[name], MissionProgress.from_dict(mission, content["progress"])))
+            except (KeyError, TypeError, ValueError) as error:
+                raise UserError(f"The leg {name} in {self.path} is damaged: {error}") from error
+        return legs
 
     def settings(self) -> dict[str, Any]:
         """Return the settings of the flight by name, empty if they are not in the log.

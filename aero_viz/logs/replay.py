@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import PlanStatus
+from aero_planner.mission_progress import MissionProgress
 from aero_viz.errors import UserError
 from aero_viz.logs.log_contents import LogContents, read_log
 from aero_viz.reader_process import ReadCancelled, Reader
@@ -46,6 +48,8 @@ class FlightReplay(RecordingSource):
         self._world: World | None = None
         self._changes: list[tuple[float, World]] = []
         """Times of changes of the world [s], and the world from then on."""
+        self._legs: list[tuple[float, MissionProgress]] = []
+        """Times at which legs of the mission begin [s], and the progress from then on."""
         self._ending = ""
         settings: dict[str, Any] = {}
         notices = [
@@ -56,6 +60,7 @@ class FlightReplay(RecordingSource):
             contents = read_log(path, read)
             self._use(contents)
             notices += [contents.damage] if contents.damage else []
+            self._legs = [(self._source_time(contents, stamp), leg) for stamp, leg in contents.legs()]
             self._world, settings = contents.world(), contents.settings()
         except ReadCancelled:
             raise
@@ -74,6 +79,9 @@ class FlightReplay(RecordingSource):
     def observe(self) -> Observation:
         """Return the planner's input at this tick."""
         observation = super().observe()
+        row = bisect.bisect_right(self._legs, observation.time + 1e-6, key=lambda leg: leg[0]) - 1
+        if self._legs:
+            observation = dataclasses.replace(observation, mission=self._legs[max(row, 0)][1])
         if self._world is None:
             return observation
         # The log of a simulated flight: a sweep without points is one in the open.
@@ -95,15 +103,15 @@ class FlightReplay(RecordingSource):
         row = bisect.bisect_right(self._plan_times, time + 1e-6) - 1
         return self._plans[row] if row >= 0 else None
 
+    def _source_time(self, contents: LogContents, stamp: int) -> float:
+        first = contents.pose_stamps[0] if contents.pose_stamps else stamp
+        return (stamp - first) * 1e-9 + self.start
+
     def _use(self, contents: LogContents) -> None:
         """Use the outcome, the goals and the plans of the log."""
         if contents.outcome:
             self._ending = f"It ended with: {contents.outcome.replace('_', ' ')}. {contents.explanation}".strip()
-        first = contents.pose_stamps[0] if contents.pose_stamps else None
-
-        def source_time(stamp: int) -> float:
-            return (0.0 if first is None else (stamp - first) * 1e-9) + self.start
-
+        source_time = partial(self._source_time, contents)
         self._goals = [(source_time(stamp), place) for stamp, place in contents.goals]
         self._plans = [
             RecordedPlan(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,10 +13,16 @@ from numpy.typing import NDArray
 
 from aero_planner import Goal, Sweeps, VehicleState
 from aero_planner.config import DroneConfig
+from aero_planner.mission_progress import MissionProgress
 
 if TYPE_CHECKING:
     from aero_planner import Plan, Planner
     from aero_viz.scenes import World
+
+
+@functools.lru_cache(maxsize=8)
+def _with_speed_limit(config: DroneConfig, speed: float) -> DroneConfig:
+    return config.replace({"vehicle.speed_limit": speed})
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +47,8 @@ class Observation:
     """True state of a simulated vehicle; None for a recording."""
     sweep_times: NDArray[np.float64] | None = None
     """Time at the end of each sweep [s], oldest first; None where it is unknown."""
+    mission: MissionProgress | None = None
+    """Mission of which `goal` is a part; None where it is not known."""
     world: World | None = None
     """World at this tick, where it can change; None where it is that of the source."""
     conditions: Mapping[str, Any] | None = None
@@ -54,6 +63,11 @@ class Observation:
             return self
         sweeps, times = self.recall(config.sweep_memory)
         return dataclasses.replace(self, sweeps=sweeps, sweep_times=times, recall=None)
+
+    def leg_config(self, config: DroneConfig) -> DroneConfig:
+        """Return the configuration with the speed limit of the mission's present leg, the same object at every tick."""
+        speed = None if self.mission is None else self.mission.waypoint.speed
+        return config if speed in (None, config.vehicle.speed_limit) else _with_speed_limit(config, speed)
 
     @property
     def points(self) -> NDArray[np.float32]:

@@ -13,6 +13,7 @@ import numpy as np
 from aero_viz.errors import UserError
 from aero_viz.registry import Registry
 from aero_viz.scenes import built_fields, obstacle_fields, rooms
+from aero_viz.scenes.course import course
 from aero_viz.scenes.field import (
     AREA,
     CLEAR_RADIUS,
@@ -195,6 +196,9 @@ _room = partial(SceneKind, clear_radius=rooms.CLEAR_RADIUS)
 _SHIPPED: dict[str, SceneKind | str] = {
     "forest": SceneKind("100 randomly scaled and tilted trees on 40 m x 40 m.", forest),
     "long_forest": SceneKind("200 trees of the forest on 200 m x 40 m, for fast flights.", long_forest),
+    "course": SceneKind(
+        "12 gates of 2.4 m in a winding row through a forest, to be passed in order.", course, counted=False
+    ),
     "verticals": SceneKind("1000 vertical cylinders, 6 m high, 0.4 to 1.1 m wide. Extremely dense.", verticals),
     "inclines": SceneKind("800 cylinders, 10 m long, inclined by up to 30 degrees. Dense.", inclines),
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),

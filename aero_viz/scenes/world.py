@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.missions import Mission
 from aero_planner.output_files import whole_file
 from aero_planner.parameters import did_you_mean
 from aero_planner.user_file import parse_json, read_user_text
@@ -64,6 +65,7 @@ class World:
             velocity for the span, back to where it began, and so on; one without velocity is static. Empty if all are.
         numbers: per table, numbers that identify each row even after others are removed, see `obstacles`; row numbers
             where a table has none. Not part of the JSON file.
+        mission: waypoints on the way to the goal, which is the last of them; None if there are none.
 
     Raises:
         ValueError: a number is missing, not finite or out of range. The message names the key and the row.
@@ -79,6 +81,7 @@ class World:
     triangles: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 9)))
     numbers: Any = field(default_factory=dict, repr=False)
     motion: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    mission: Mission | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str):
@@ -87,6 +90,9 @@ class World:
             position = _row(getattr(self, key), 3, f'"{key}"', "x, y, z")
             _check_ranges(position[None], f'"{key}"', "x, y, z")
             _store(self, key, position)
+        if self.mission is not None and tuple(self.goal.tolist()) != self.mission.goal:
+            end = list(self.mission.goal)
+            raise ValueError(f'"goal" is {self.goal.tolist()}, and the mission ends at {end}; both must be the same.')
         for key, columns in _COLUMNS.items():
             table = _table(getattr(self, key), key, columns)
             _check_ranges(table, f'"{key}" row {{}}', columns)
@@ -105,7 +111,7 @@ class World:
         Raises:
             ValueError: a key is missing or unknown, or a value is invalid, see the class.
         """
-        known = ("name", "start", "goal", *_COLUMNS, "bounds")
+        known = ("name", "start", "goal", *_COLUMNS, "bounds", "mission")
         if not isinstance(content, dict):
             raise ValueError(f"it holds {_abbreviated(content)}; it must be an object with keys {', '.join(known)}.")
         for key in content:
@@ -116,6 +122,11 @@ class World:
         for key in known[:3]:
             if key not in content:
                 raise ValueError(f'the key "{key}" is missing; name, start and goal are required.')
+        if content.get("mission") is not None:
+            try:
+                content = {**content, "mission": Mission.from_dict(content["mission"])}
+            except ValueError as error:
+                raise ValueError(f'"mission": {error}') from error
         return cls(**content)
 
     @classmethod
@@ -144,6 +155,8 @@ class World:
                 content[key] = getattr(self, key).tolist()
         if not np.array_equal(self.bounds, self._derived_bounds()):
             content["bounds"] = self.bounds.tolist()
+        if self.mission is not None:
+            content["mission"] = self.mission.to_dict()
         return content
 
     def to_json(self) -> str:
@@ -211,6 +224,19 @@ class World:
             candidates.append((float(distances[0]), f"{_NAMES['triangles']} {rows[0]}"))
         return min(candidates)
 
+    @cached_property
+    def route(self) -> Mission:
+        """What is flown: the mission, or the way to the goal."""
+        return self.mission or Mission.to_goal(self.goal)
+
+    def with_goal(self, goal: ArrayLike) -> World:
+        """Return the world with another goal [m], [3], to which no waypoints lead."""
+        return replace(self, goal=np.asarray(goal, dtype=np.float64), mission=None)
+
+    def with_mission(self, mission: Mission) -> World:
+        """Return the world with another mission, whose end is the goal."""
+        return replace(self, goal=np.array(mission.goal), mission=mission)
+
     def at(self, time: float) -> World:
         """Return the world of one moment [s], in which nothing moves; this world if nothing moves anyway."""
         if not len(self.motion):
@@ -268,8 +294,9 @@ class World:
             cylinders = np.vstack([cylinders, turned])
         lower, upper = primitive_bounds(cylinders, self.boxes, self.spheres)
         corners = self.triangles.reshape(-1, 3)
-        lower = np.vstack([lower, corners, self.start, self.goal]).min(axis=0)
-        upper = np.vstack([upper, corners, self.start, self.goal]).max(axis=0)
+        places = [self.goal] if self.mission is None else self.mission.places(self.start)
+        lower = np.vstack([lower, corners, self.start, *places]).min(axis=0)
+        upper = np.vstack([upper, corners, self.start, *places]).max(axis=0)
         return np.stack([lower - _BOUNDS_MARGIN, upper + _BOUNDS_MARGIN])
 
 

@@ -179,10 +179,11 @@ class Comparison:
     def _plan(self, frame: Frame, history: Any) -> Frame:
         """Return `frame` with the plan of A from its observation."""
         assert self.pinned is not None
+        config = frame.observation.leg_config(self.pinned)
         if self._planner is None:
-            self._planner = make(self.pinned, device=self._device, seed=self._engine.seed)
-        elif self._planner.config is not self.pinned:
-            self._planner = reconfigured(self._planner, self.pinned, device=self._device, seed=self._engine.seed)
+            self._planner = make(config, device=self._device, seed=self._engine.seed)
+        elif self._planner.config is not config:
+            self._planner = reconfigured(self._planner, config, device=self._device, seed=self._engine.seed)
         self._planner.restore(history)
         started = time.perf_counter()
         plan = self._planner.attempt(frame.observation)
@@ -199,7 +200,8 @@ class Comparison:
         try:
             source.restore(flight.checkpoint)
             for _ in range(_TICKS_PER_TURN):
-                observation = source.observe().remembered(self.pinned)
+                observation = source.observe()
+                observation = observation.remembered(observation.leg_config(self.pinned))
                 frame = dataclasses.replace(
                     shown, time=observation.time, observation=observation, outcome=source.outcome,
                     explanation=source.explanation,

@@ -52,7 +52,8 @@ class Engine:
         self.dropped_ticks = 0
         """Ticks of a recording that were skipped since its start."""
         self._configs = configs
-        self._config = configs.current[0]
+        self._base = self._config = configs.current[0]
+        """Configuration of the session and that of the leg at the newest plan."""
         self._planner = make(self._config, device=device, seed=seed)
         self._device = device
         self.seed = seed
@@ -72,8 +73,8 @@ class Engine:
 
     @property
     def planned_config(self) -> DroneConfig:
-        """Configuration of the newest plan."""
-        return self._config
+        """Configuration of the session at the newest plan."""
+        return self._base
 
     @property
     def next_time(self) -> float:
@@ -167,7 +168,7 @@ class Engine:
         """
         start = max(row - _WARM_UP, 0)
         first, last = self._planned_rows(times)
-        if self._is_gapless and self._configs.current[0] is self._config and first <= start <= last:
+        if self._is_gapless and self._configs.current[0] is self._base and first <= start <= last:
             begin = min(row, last)
             checkpoint: Checkpoint | None = self._timeline.go_by(begin - first - self._timeline.earlier)
             self.source.restore(checkpoint.source)
@@ -245,12 +246,16 @@ class Engine:
             advance_ms: how long the source took to advance to this tick [ms].
             is_shown: False for a tick on the way to another one, which is not published.
         """
-        config, version = self._configs.current
+        base, version = self._configs.current
         started = time.perf_counter()
-        observation = self.source.observe().remembered(config)
+        observation = self.source.observe()
+        config = observation.leg_config(base)
+        observation = observation.remembered(config)
         observed = time.perf_counter()
         if config is not self._config:
-            self._configure(config)
+            self._configure(config, base)
+        if base is not self._base:
+            self._base = base
             self._is_gapless = self._is_gapless and not self._timeline
         if again is None:
             history = self._planner.history()
@@ -273,7 +278,7 @@ class Engine:
             self._timeline.append(checkpoint, observation.actual_state.position)
             self._tick_ends.append(planned)
         if self._timeline:
-            self._timeline.planned_with(config)
+            self._timeline.planned_with(base)
         times = self.source.info.times
         frame = Frame(
             index=self._timeline.index if times is None else _row(times, observation.time),
@@ -281,6 +286,7 @@ class Engine:
             observation=observation,
             plan=plan,
             config=config,
+            base_config=base,
             config_version=version,
             outcome=self.source.outcome,
             explanation=self.source.explanation,
@@ -313,12 +319,12 @@ class Engine:
         self._publish_frame(frame)
         return frame
 
-    def _configure(self, config: DroneConfig) -> None:
+    def _configure(self, config: DroneConfig, base: DroneConfig) -> None:
         try:
             self._planner = reconfigured(self._planner, config, device=self._device, seed=self.seed)
         except Exception:
             # Otherwise every later tick would fail in the same way, and undo would return to it.
-            self._configs.drop(config, self._config)
+            self._configs.drop(base, self._base)
             raise
         self._config = config
 

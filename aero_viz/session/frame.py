@@ -33,7 +33,7 @@ class Frame:
     plan: Plan
     """Output of the planner."""
     config: DroneConfig
-    """Configuration of the planner."""
+    """Configuration of the planner, with the speed limit of the leg of a mission."""
     config_version: int
     """Number of configuration changes in the session so far."""
     outcome: str | None
@@ -59,6 +59,9 @@ class Frame:
     """Seed of the planner's noise."""
     device: str = "cpu"
     """Warp device of the planner."""
+    base_config: DroneConfig | None = None
+    """Configuration of the session, which differs from `config` on legs with a speed limit of their own; None where it
+    is not known."""
     is_safe: NDArray[np.bool_] | None = None
     """True for each safe candidate, shape [M]; None where only the plan is known, see `safety.known_safe`."""
 

@@ -9,6 +9,7 @@ import pytest
 from ensemble_plans import plan_of
 
 from aero_planner import PlannerConfig, PlanStatus, Sweeps
+from aero_planner.missions import Mission, Waypoint
 from aero_viz.dashboard import palette
 from aero_viz.errors import UserError
 from aero_viz.explain.decision import Decision
@@ -182,6 +183,17 @@ def test_a_stall_tells_what_blocks_the_anchors(standing):
     assert result.reason == report.outcome == "stall" and report.cause.startswith("stalled: ")
     assert {row["obstacle"] for row in report.blocked} & {"box 1"}
     assert any("cost-to-go" in text for text in report.sentences) and evidence is not None
+
+
+def test_the_report_names_the_waypoints_that_were_given_up():
+    world = world_of([14, 0, 2], [6, 0, 5, 0.3, 78, 10, 0])
+    route = Mission((Waypoint((6, 0, 2), radius=0.2, timeout=1.5), Waypoint((14, 0, 2))))
+    rules = FlightRules(stall_time=1.5, stall_distance=4.0)
+    result, _, report, _ = flown(world.with_mission(route), rules=rules)
+    assert result.reason == "stall" and (result.waypoints, result.waypoints_passed) == (2, 0)
+    given_up, end = report.sentences[:2]
+    assert given_up.startswith("Waypoint 1 of 2 at (6, 0, 2) was given up") and "it lies inside box 1" in given_up
+    assert re.match(r"It ended \d+\.\d m from the goal, at \(", end)
 
 
 def report_with_stale_clouds(trace: FlightTrace) -> PostMortem:

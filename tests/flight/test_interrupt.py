@@ -10,7 +10,6 @@ from aero_planner import PlannerConfig
 from aero_viz.evaluation.score import load_trajectory
 from aero_viz.flight import FlightInterrupted, fly
 from aero_viz.flight.interrupt import deferred_interrupt
-from aero_viz.flight.single import distance_share
 from aero_viz.logs import flight_recorder
 from aero_viz.recordings import inspect
 from aero_viz.scenes import World, scene
@@ -125,4 +124,3 @@ def test_progress_goes_from_start_to_goal(tmp_path):
         shares, times = np.array(calls).T
         assert result.arrived and shares[0] == 0.0 and shares[-1] > 0.7
         assert np.all(np.diff(times) > 0.0) and times[-1] == pytest.approx(result.flight_time_s)
-    assert distance_share(world, world.goal) == 1.0

@@ -10,10 +10,13 @@ import pytest
 from mcap.reader import make_reader
 from small_source import small_config, small_source
 
+from aero_planner.missions import Mission, Waypoint
 from aero_viz.catalog import open_source
+from aero_viz.errors import UserError
 from aero_viz.logs import flight_recorder
-from aero_viz.logs.log_contents import is_flight_log
+from aero_viz.logs.log_contents import LogContents, is_flight_log, read_log
 from aero_viz.logs.replay import FlightReplay
+from aero_viz.recordings import open_recording
 from aero_viz.scenes.obstacles import new_obstacle, with_obstacle
 from aero_viz.session import Session
 from aero_viz.session.frame import Frame
@@ -126,3 +129,46 @@ def test_other_files_are_no_flight_logs(tmp_path):
     assert not is_flight_log(tmp_path / "text.mcap")
     assert not is_flight_log(tmp_path / "absent.mcap")
     assert not is_flight_log(tmp_path)
+
+
+def test_the_leg_of_every_tick_is_that_of_the_log(tmp_path):
+    path, route = tmp_path / "flight.mcap", ["3,1,2,speed=3", "6,-4,2", "9,-4,2,stop,speed=2"]
+    source = small_source()
+    source.set_mission(Mission(tuple(map(Waypoint.parse, route))))
+    session = Session(source, config=small_config())
+    frames: list[Frame] = []
+    with flight_recorder(path) as log:
+        while not frames or frames[-1].outcome is None:
+            frames.append(session.tick())
+            log.write(frames[-1])
+    session.close()
+    assert frames[-1].outcome == "arrived"
+    replay = FlightReplay(open_recording(str(path)), path)
+    again = Session(replay, config=read_log(path).config())
+    try:
+        assert replay.info.times is not None
+        for time in (*replay.info.times[::3], replay.info.times[-1]):
+            again.seek(float(time)).result()
+            shown, flown = again.frame, at(frames, time)
+            assert shown is not None and shown.observation.mission is not None and flown.observation.mission is not None
+            before, after = flown.observation.mission, shown.observation.mission
+            assert (after.index, after.events, after.mission) == (before.index, before.events, before.mission)
+            assert shown.config == flown.config
+            np.testing.assert_allclose(
+                np.asarray(shown.observation.goal.position), np.asarray(flown.observation.goal.position), atol=1e-6
+            )
+    finally:
+        again.close()
+    assert {frame.config.vehicle.speed_limit for frame in frames} == {3.0, 7.0, 2.0}
+
+
+MISSION = {"waypoints": [{"position": [0, 0, 0]}]}
+
+
+@pytest.mark.parametrize(
+    "content", [[], {"progress": {}}, {"mission": MISSION, "progress": {"index": 9, "since": 0, "events": []}}]
+)
+def test_a_damaged_leg_is_refused(content):
+    contents = LogContents("f.mcap", {"leg_change_1.json": json.dumps(content).encode()}, {"leg_change_1.json": 0})
+    with pytest.raises(UserError, match=r"The leg leg_change_1\.json in f\.mcap is damaged: "):
+        contents.legs()

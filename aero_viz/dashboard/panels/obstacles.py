@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import threading
 import time
 from collections.abc import Callable
@@ -117,7 +116,9 @@ class ObstaclePanel(Panel):
         async def _(event: viser.GuiEvent) -> None:
             frame = self.session.frame
             if event.client is not None and frame is not None and frame.moving_world is not None:
-                world = dataclasses.replace(frame.moving_world, goal=np.asarray(frame.observation.goal.position))
+                mission = frame.observation.mission
+                world = frame.moving_world.with_goal(frame.observation.goal.position)
+                world = world if mission is None or mission.mission.is_single else world.with_mission(mission.mission)
                 event.client.send_file_download(f"{world.name}.json", world.to_json().encode(), save_immediately=True)
 
         self._on_input(self._center, Obstacle.moved)
