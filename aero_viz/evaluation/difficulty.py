@@ -119,7 +119,7 @@ def _nearby(world: World, path: Points) -> World:
     corners = world.triangles.reshape(-1, 3, 3)
     if len(corners):
         kept["triangles"] = world.triangles[_is_near(corners.min(axis=1), corners.max(axis=1), path)]
-    return World(world.name, world.start, world.goal, bounds=world.bounds, **kept)
+    return World(world.name, world.start, world.goal, bounds=world.bounds, mission=None, **kept)
 
 
 def _is_near(lower: Points, upper: Points, path: Points) -> NDArray[np.bool_]:

@@ -80,7 +80,7 @@ def field_world(
         for table, part in obstacle.items():
             rows.setdefault(table, []).append(part)
     tables = {table: np.concatenate(parts) for table, parts in rows.items()}
-    return World(name, np.array(START), np.array(goal), **tables, **options)
+    return World(name, np.array(START), np.array(goal), mission=None, **tables, **options)
 
 
 def uniform_field(name: str, draw: Draw, count: int, *, ground: bool, goal: Position = GOAL) -> World:

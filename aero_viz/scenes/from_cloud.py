@@ -136,7 +136,7 @@ def fit_world(
     walls, mesh = len(solids.boxes), len(solids.triangles)
     ground.add_to(solids)
     voxels = merge_voxels(occupied_voxels(far, tolerance, path), tolerance) if len(far) else []
-    bare = World("", np.zeros(3), np.zeros(3), **solids.tables())
+    bare = World("", np.zeros(3), np.zeros(3), mission=None, **solids.tables())
     solids.boxes += list(voxels)
     used = points[kept[place]]
     world = complete_world(path, used, solids.tables(), shift=shift, start=start, goal=goal)

@@ -116,7 +116,7 @@ def complete_world(
             start_position, goal_position = _choose_ends(
                 points, tables, start_position, goal_position, across=across, path=path
             )
-        return World(Path(path).stem, start_position, goal_position, **tables)
+        return World(Path(path).stem, start_position, goal_position, mission=None, **tables)
     except ValueError as error:
         raise UserError(f"Cannot make a world of the map {path}: {error}") from error
 
@@ -258,7 +258,7 @@ def _choose_ends(
         cell *= 1.1
     # The start of this world only anchors the grid.
     anchor = np.rint(0.5 * (lower + upper)) if start is None else start
-    world = World("", anchor, anchor if goal is None else goal, **tables)
+    world = World("", anchor, anchor if goal is None else goal, mission=None, **tables)
     grid = ClearanceGrid.measure(
         world,
         cell=cell,

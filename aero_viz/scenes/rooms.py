@@ -176,4 +176,4 @@ def _room(name: str, ceiling: float | None, ground: bool, **tables: Rows) -> Wor
     tables["boxes"] = np.vstack([tables.get("boxes", np.zeros((0, 7))).reshape(-1, 7), boxes])
     # A drone above the walls has left the room.
     bounds = np.array([[x0, y0, -0.5], [x1, y1, height]])
-    return World(name, np.array(START), np.array(GOAL), bounds=bounds, **tables)
+    return World(name, np.array(START), np.array(GOAL), bounds=bounds, mission=None, **tables)

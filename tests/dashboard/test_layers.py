@@ -213,7 +213,7 @@ def test_cells_are_told_apart_and_those_of_anchors_are_known(frame):
 
 def solid(**tables: NDArray[np.float64]) -> FlightSource:
     """A flight 2 m below the origin toward the given solids."""
-    world = World("solid", np.array([0.0, 0.0, -2.0]), np.array([12.0, 0.0, -2.0]), **tables)
+    world = World("solid", np.array([0.0, 0.0, -2.0]), np.array([12.0, 0.0, -2.0]), mission=None, **tables)
     return FlightSource(world, lidar=LidarModel("sparse", points_per_sweep=2000))
 
 

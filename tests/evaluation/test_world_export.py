@@ -13,7 +13,13 @@ TILTED = [1.0, 2.0, 0.5, 0.6, 0.0, 0.8, 0.5, 3.0]
 
 
 def world(**tables) -> World:
-    return World("w", np.zeros(3), np.array([9.0, 0.0, 0.0]), **{key: np.array([row]) for key, row in tables.items()})
+    return World(
+        "w",
+        np.zeros(3),
+        np.array([9.0, 0.0, 0.0]),
+        mission=None,
+        **{key: np.array([row]) for key, row in tables.items()},
+    )
 
 
 @pytest.mark.parametrize(

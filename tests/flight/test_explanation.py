@@ -17,7 +17,7 @@ GROUND = [5.0, 0.0, -0.5, 60.0, 60.0, 1.0, 0.0]
 def world(**tables) -> World:
     goal, bounds = tables.pop("goal", (9.0, 0.0, 2.0)), tables.pop("bounds", None)
     tables = {key: np.array(rows, dtype=float) for key, rows in tables.items()}
-    return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), bounds=bounds, **tables)
+    return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), bounds=bounds, mission=None, **tables)
 
 
 @pytest.mark.parametrize(

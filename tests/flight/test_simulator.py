@@ -20,7 +20,7 @@ LIDAR = LidarModel("small", points_per_sweep=100)
 
 def world(goal=(20.0, 0.0, 2.0), **tables) -> World:
     tables = {key: np.array(rows, dtype=float) for key, rows in tables.items()}
-    return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), **tables)
+    return World("test", np.array([0.0, 0.0, 2.0]), np.array(goal), mission=None, **tables)
 
 
 def simulate(worlds, *, lidar: Any = LIDAR, **rules: Any) -> Simulator:

@@ -22,7 +22,7 @@ START, GOAL = np.array([0.0, 0.0, 2.0]), np.array([10.0, 0.0, 2.0])
 def world(triangles=(), **tables) -> World:
     rows = np.array(triangles, dtype=float).reshape(-1, 9)
     tables = {key: np.array(table, dtype=float) for key, table in tables.items()}
-    return World("test", START, GOAL, triangles=rows, **tables)
+    return World("test", START, GOAL, triangles=rows, mission=None, **tables)
 
 
 def scattered(count: int, seed: int = 0):

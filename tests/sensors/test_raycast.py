@@ -11,7 +11,9 @@ from aero_viz.sensors import cast
 
 
 def make(**tables) -> World:
-    return World("", np.zeros(3), np.ones(3), **{key: np.array(rows, dtype=float) for key, rows in tables.items()})
+    return World(
+        "", np.zeros(3), np.ones(3), mission=None, **{key: np.array(rows, dtype=float) for key, rows in tables.items()}
+    )
 
 
 def ranges(world: World, origin, directions, range_max=np.inf):
