@@ -28,11 +28,9 @@ _NEAR = wp.constant(1.25)
 """Distance from the middle of the drone's way during the sweep within which points need support [m]."""
 _FAR = wp.constant(2.0)
 """Distance within which points are listed, and from which they are no rain, seen from the end of their sweep [m]."""
-_SUPPORT = wp.constant(16.0)
-"""Least number of points in 3 x 3 x 3 voxels, for a sweep of `_DENSITY` points."""
-_DENSITY = wp.constant(20000.0)
-_LEAST = wp.constant(4)
-"""Least number of points for a sparse sweep."""
+_SUPPORT = wp.constant(26)
+"""Least number of points in 3 x 3 x 3 voxels. Around a drone that hovers, 500 points of rain a sweep leave 9 there in
+two seconds, and a wire of 8 mm radius, a metre away, 59."""
 
 
 @wp.struct
@@ -76,12 +74,6 @@ def is_within(distance: float, point: wp.vec3, middle: wp.vec3) -> bool:
     """Return whether a point is nearer than a distance [m]; False for one that is not finite."""
     offset = point - middle
     return wp.dot(offset, offset) < distance * distance
-
-
-@wp.func
-def needed_support(count: int) -> int:
-    """Return the least number of points around one of a sweep of `count` points that is no stray point."""
-    return wp.max(int(wp.ceil(_SUPPORT * float(count) / _DENSITY)), _LEAST)
 
 
 @wp.kernel
@@ -175,14 +167,13 @@ def count_far(
     apart = middle - cloud.origin[b, sweep]
     if wp.length(apart) < _FAR - _NEAR:
         return  # no point is near now and was far then
-    enough = needed_support(cloud.count[b, row])
     for i in range(thread, cloud.count[b, sweep], threads):
         point = cloud.points[b, cloud.start[sweep] + i]
         if is_within(_NEAR, point, middle) and wp.length(point - cloud.origin[b, sweep]) > _FAR:
             voxel = voxel_of(point, middle)
             cell = cell_of(voxel[0], voxel[1], voxel[2])
             if cell >= 0:
-                wp.atomic_add(near.near_grid, b, cell, enough)
+                wp.atomic_add(near.near_grid, b, cell, _SUPPORT)
 
 
 @wp.kernel
@@ -200,7 +191,6 @@ def remove_stray(
     if row < 0 or near.near_count[b, near.near_slot[b]] > LISTED:
         return
     middle = middle_of_sweep(b, change[0], cloud)
-    needed = needed_support(cloud.count[b, row])
     for i in range(thread, cloud.count[b, row], threads):
         index = cloud.start[row] + i
         point = cloud.points[b, index]
@@ -211,5 +201,5 @@ def remove_stray(
                 cell = cell_of(voxel[0] + k // 9 - 1, voxel[1] + (k // 3) % 3 - 1, voxel[2] + k % 3 - 1)
                 if cell >= 0:
                     found += near.near_grid[b, cell]
-            if found < needed:
+            if found < _SUPPORT:
                 cloud.points[b, index] = wp.vec3(wp.NAN)
