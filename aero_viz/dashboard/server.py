@@ -18,7 +18,7 @@ import viser
 from websockets import Request, Response
 from websockets.asyncio.server import ServerConnection
 
-from aero_viz.dashboard import accessibility, palette, viser_private
+from aero_viz.dashboard import accessibility, hidden_tab, palette, viser_private
 from aero_viz.dashboard.connection import MESSAGE_MAX, PageConnection
 from aero_viz.dashboard.number_fields import NumberFields
 from aero_viz.dashboard.page_messages import PageMessage
@@ -281,6 +281,7 @@ class LocalServer(viser.ViserServer):
 
     def _style(self) -> None:
         viser_private.run_script(self, viser_private.SENDER)
+        viser_private.run_script(self, hidden_tab.SCRIPT)
         self.gui.add_html(f"<style>{_STYLE}{accessibility.STYLE}</style>")
         configure_theme(self.gui)
         scene = self.scene

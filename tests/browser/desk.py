@@ -309,6 +309,7 @@ def open_desk(
     opened: str = "",
     seed: int = 0,
     study: StoredStudy | None = None,
+    script: str = "",
 ) -> Iterator[Desk]:
     """Open the page of a paused session.
 
@@ -324,6 +325,7 @@ def open_desk(
         opened: name of the source for the opener; by default that of the forest.
         seed: seed of the source, as the page shows it.
         study: study to show.
+        script: JavaScript that runs before the page does.
     """
     session = Session(source or FlightSource(scene("forest", seed=0)), config=config)
     for _ in range(ticks):
@@ -346,6 +348,7 @@ def open_desk(
     context = browser.new_context(viewport={"width": size[0], "height": size[1]}, accept_downloads=True)
     context.set_default_timeout(1e3 * TIMEOUT)
     page = context.new_page()
+    page.add_init_script(script)
     desk = Desk(session, dashboard, page)
     page.on("console", lambda message: desk.console.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: desk.console.append(str(error)))
