@@ -61,7 +61,7 @@ class MissionLayer(Layer):
         changes: list[Change] = [(number, "visible", False) for number in self._numbers[len(shown) :]]
         if progress is not None:
             waypoints = progress.mission.waypoints
-            way = np.array(progress.mission.places(waypoints[0].at(0.0)), dtype=np.float32)
+            way = np.array(progress.mission.places(waypoints[0].position)[1:], dtype=np.float32)
             way = way[:: 1 + len(way) // _CORNERS]
             given_up = {event.waypoint for event in progress.events if event.kind == "given_up"}
             for label, i in enumerate(shown):
