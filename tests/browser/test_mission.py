@@ -1,8 +1,5 @@
 """A mission that is made and flown with the mouse."""
 
-import os
-from pathlib import Path
-
 from aero_planner.mission_progress import MissionProgress
 from tests.browser.desk import Desk, open_desk, quick_forest
 
@@ -40,8 +37,6 @@ def test_waypoints_are_added_by_clicks_reordered_removed_and_flown_through(brows
         desk.wait_for(lambda: waypoints(desk) == [first, second, *goal], "the order before")
         length = progress(desk).mission.length(desk.session.frame.source.world.start)  # type: ignore[union-attr]
         desk.page.get_by_text(f"{length:.1f}", exact=True).wait_for()
-        if folder := os.environ.get("AERO_MISSION_SHOT"):
-            desk.page.screenshot(path=Path(folder) / "mission.png")
         desk.click("remove")
         desk.wait_for(lambda: waypoints(desk) == [first, *goal], "the removal")
         desk.page.get_by_text("of 2", exact=True).wait_for()

@@ -64,7 +64,7 @@ class MissionPanel(Panel):
         self._place = PlaceControls(
             self.page,
             name="waypoint",
-            label="Waypoint [m]",
+            label="Place [m]",
             hint="x, y, z in the world frame [m].",
             move=self._move,
         )
