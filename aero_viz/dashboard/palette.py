@@ -68,7 +68,7 @@ MEANINGS: dict[Rgb, str] = {
     GUIDE: "guides",
     ENDPOINT: "endpoints before the refinement",
     ANCHOR: "anchors, and their cells",
-    GOAL: "the goal",
+    GOAL: "the goal, and waypoints that were not passed",
     GHOST: "the other flight: configuration A, or the future before a fork",
     RECORDED: "what a file has recorded",
     SELECTED: "what a visitor has selected",

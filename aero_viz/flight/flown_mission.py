@@ -42,10 +42,16 @@ class FlownMission:
     def _is_last(self) -> bool:
         return self.progress.is_last and not self.progress.is_moving(self._simulator.time)
 
-    def begin(self, mission: Mission) -> None:
-        """Fly another mission from here. A flight that has arrived, stalled or run out of time continues."""
+    def begin(self, mission: Mission, *, resume: bool = False) -> None:
+        """Fly another mission from here. A flight that has arrived, stalled or run out of time continues.
+
+        Args:
+            mission: the mission.
+            resume: see `MissionProgress.changed`; otherwise, it is flown from its first waypoint on.
+        """
         time = self._simulator.time
-        self.progress, self._known = MissionProgress(mission, since=time, nearest_time=time), None
+        fresh = MissionProgress(mission, since=time, nearest_time=time)
+        self.progress, self._known = self.progress.changed(mission, time) if resume else fresh, None
         self._tell()
 
     def restore(self, progress: MissionProgress) -> None:

@@ -249,17 +249,21 @@ class FlightSource:
         self._mission.begin(Mission.to_goal(goal))
         self._read_state()
 
-    def set_mission(self, mission: Mission) -> None:
-        """Fly another mission from here, from its first waypoint on.
+    def set_mission(self, mission: Mission, *, resume: bool = False) -> None:
+        """Fly another mission from here. A flight that has arrived, stalled or run out of time continues.
 
-        A flight that has arrived, stalled or run out of time continues.
+        Args:
+            mission: the mission.
+            resume: True if the mission begins with the waypoints that are behind the drone and goes on from there;
+                otherwise, it is flown from its first waypoint on.
 
         Raises:
             UserError: a waypoint lies outside the world's bounds, or the last one in an obstacle. The mission stays.
+            ValueError: with `resume`, a waypoint behind the drone differs, or none is ahead. The mission stays.
         """
         if problem := mission_problem(self._setting.world.at(self.simulator.time), mission):
             raise UserError(f"{problem}. The mission stays as it was; give free positions.")
-        self._mission.begin(mission)
+        self._mission.begin(mission, resume=resume)
         self._read_state()
 
     def set_world(self, world: World) -> None:

@@ -171,6 +171,22 @@ class MissionProgress:
         """Return the progress after the drone was put elsewhere at a time [s]: it has passed nothing on the way."""
         return dataclasses.replace(self, beyond=None, nearest=math.inf, nearest_time=time, place=None)
 
+    def changed(self, mission: Mission, time: float) -> MissionProgress:
+        """Return the progress at a time [s] in a mission that differs ahead of the drone only.
+
+        The leg goes on if its waypoint stays; otherwise, another one begins.
+
+        Raises:
+            ValueError: a waypoint behind the drone differs, or none is ahead.
+        """
+        if mission.waypoints[: self.index] != self.mission.waypoints[: self.index]:
+            raise ValueError("a waypoint behind the drone cannot be changed; change those ahead.")
+        if len(mission) <= self.index:
+            raise ValueError("the mission has no waypoint ahead of the drone; give at least one.")
+        if not self.is_over and mission.waypoints[self.index] == self.waypoint:
+            return dataclasses.replace(self, mission=mission, beyond=None)
+        return MissionProgress(mission, self.index, time, self.events, nearest_time=time, place=self.place)
+
     def arrive(self, time: float, position: ArrayLike) -> MissionProgress:
         """Return the progress after an arrival by other rules, at a time [s] and a position [m]."""
         distance = math.dist(as_position(position), self.waypoint.position)

@@ -294,3 +294,16 @@ def test_the_goal_beyond_a_waypoint_stays_in_line_with_it():
     place, goal, waypoint = np.array([7.5, 1.0, 2.0]), np.array(progress.goal(time)), np.array([10.0, 0.0, 2.0])
     ahead = (goal - place) / np.linalg.norm(goal - place)
     assert np.linalg.norm(np.cross(ahead, waypoint - place)) < 0.4
+
+
+def test_a_mission_is_changed_ahead_of_the_drone_only():
+    progress, time = follow(MissionProgress(mission("2,0,2", "9,0,2", "20,0,2")), line((0, 0, 2), (4, 0, 2), speed=2.0))
+    assert progress.index == 1
+    same_leg = progress.changed(mission("2,0,2", "9,0,2", "12,4,2", "20,0,2"), time)
+    assert (same_leg.since, same_leg.events, same_leg.nearest) == (progress.since, progress.events, progress.nearest)
+    other = progress.changed(mission("2,0,2", "5,3,2"), time)
+    assert (other.index, other.since, other.passed) == (1, time, 1) and other.goal(time) == (5.0, 3.0, 2.0)
+    with pytest.raises(ValueError, match="behind the drone cannot be changed"):
+        progress.changed(mission("3,0,2", "9,0,2"), time)
+    with pytest.raises(ValueError, match="no waypoint ahead"):
+        progress.changed(mission("2,0,2"), time)

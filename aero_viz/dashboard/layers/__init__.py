@@ -22,6 +22,7 @@ from aero_viz.dashboard.layers.cells import CoarseCellLayer, FineCellLayer, Unse
 from aero_viz.dashboard.layers.cloud import CloudLayer
 from aero_viz.dashboard.layers.drone import DroneLayer, GhostLayer, TrailLayer
 from aero_viz.dashboard.layers.goal import GoalLayer
+from aero_viz.dashboard.layers.mission import MissionLayer
 from aero_viz.dashboard.layers.motion import MotionLayer
 from aero_viz.dashboard.layers.rollouts import RolloutLayer
 from aero_viz.dashboard.layers.samples import SampleLayer
@@ -64,6 +65,7 @@ _SHIPPED: tuple[type[Layer], ...] = (
     RecordedPathLayer,
     RecordedPlanLayer,
     GoalLayer,
+    MissionLayer,
     ObstacleLayer,
     GroundLayer,
 )

@@ -22,6 +22,7 @@ from aero_viz.dashboard.panels.goal import GoalPanel
 from aero_viz.dashboard.panels.health import HealthPanel
 from aero_viz.dashboard.panels.layers import LayerPanel
 from aero_viz.dashboard.panels.live import LiveOffer, LivePanel
+from aero_viz.dashboard.panels.mission import MissionPanel
 from aero_viz.dashboard.panels.obstacles import ObstaclePanel
 from aero_viz.dashboard.panels.open_tabs import OpenTabs
 from aero_viz.dashboard.panels.page_copy import PageCopies
@@ -116,6 +117,8 @@ def _fly(desk: Desk, _: viser.GuiTabHandle) -> list[Panel]:
                 panels += [copies, SharePanel(page, controls, sources, offer.files, copies)]
     with gui.add_folder("Goal"):
         panels.append(GoalPanel(page, controls))
+    with gui.add_folder("Mission", expand_by_default=False):
+        panels.append(MissionPanel(page, controls, desk.open_tabs))
     return panels
 
 
