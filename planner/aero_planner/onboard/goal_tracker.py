@@ -182,7 +182,9 @@ class GoalTracker:
             raise ValueError(f"the goal is {goal.tolist()}; it must be three finite numbers [m].")
         for name, place in named_places(goal):
             if not is_inside_fence([*place[:2], self._limits.fence_height_min], self._limits):
-                raise ValueError(f"the {name} {list(place)} lies outside the geofence; correct it or limits.fence_*.")
+                raise ValueError(
+                    f"{_called(name)} {list(place)} lies outside the geofence; correct it or limits.fence_*."
+                )
         if outside := self._outside(goal, None):
             _log.warning("%s waits until the height of the ground is known: it %s", *outside)
         else:
@@ -245,7 +247,7 @@ class GoalTracker:
             if not low <= height <= high:
                 below = "the local origin" if ground is None else f"the ground, which is at a height of {ground:.2f} m"
                 where += f", at {height:.2f} instead of {low:g} to {high:g} m above {below}"
-            return f"the {name} {np.round(place, 2).tolist()}", where
+            return f"{_called(name)} {np.round(place, 2).tolist()}", where
         return None
 
 
@@ -257,6 +259,10 @@ def named_places(goal: Target) -> Iterator[tuple[str, Position]]:
     for i, waypoint in enumerate(goal.waypoints):
         for place in [*(row[1:] for row in waypoint.path), waypoint.position]:
             yield f"waypoint {i + 1}", place
+
+
+def _called(name: str) -> str:
+    return "the goal" if name == "goal" else name
 
 
 def _log_refusal(name: str, where: str) -> None:

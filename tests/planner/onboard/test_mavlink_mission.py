@@ -163,7 +163,9 @@ def test_what_cannot_be_received_is_answered(station: Station, port: int, link: 
 
 
 def test_missions_come_from_named_senders_only(port: int, clock: Clock, caplog: pytest.LogCaptureFixture):
-    link = MavlinkLink(f"udpin:127.0.0.1:{port}", ThrustModel(), goal_senders=[(1, None)], clock=clock)
+    link = MavlinkLink(
+        f"udpin:127.0.0.1:{port}", ThrustModel(), goal_senders=[(1, None), (255, "127.0.0.1")], clock=clock
+    )
     autopilot = Peer(port)
     autopilot.heartbeat()
     link.poll()
