@@ -32,9 +32,10 @@ def read_mission(path: Path, read_path: PathReader | None = None) -> Mission:
     except ValueError as error:
         raise ValueError(f"{path} is {error}.") from error
     rows = content.get("waypoints") if isinstance(content, dict) else None
-    for row in rows if read_path is not None and isinstance(rows, list) else ():
-        if isinstance(row, dict) and isinstance(row.get("path"), str):
-            row["path"] = read_path(path.parent / row["path"])
+    if read_path is not None and isinstance(rows, list):
+        for row in rows:
+            if isinstance(row, dict) and isinstance(row.get("path"), str):
+                row["path"] = read_path(path.parent / row["path"])
     try:
         return Mission.from_dict(content)
     except ValueError as error:
