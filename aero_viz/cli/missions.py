@@ -10,11 +10,9 @@ import numpy as np
 import tyro
 from numpy.typing import ArrayLike
 
+from aero_planner.mission_file import read_mission
 from aero_planner.missions import Mission, Waypoint
-from aero_planner.user_file import read_user_text
 from aero_viz.errors import UserError
-from aero_viz.input_limits import TEXT_MAX
-from aero_viz.plain_yaml import load_yaml
 from aero_viz.scenes.world import World
 
 WaypointTexts = Annotated[
@@ -53,25 +51,15 @@ def fly_through(world: World, mission: Mission) -> World:
 
 
 def load_mission(path: Path) -> Mission:
-    """Return the mission in a YAML file, see `Mission.from_dict`; a path may be the name of a trajectory beside it.
+    """Return the mission in a YAML file, see `read_mission`; a path may be the name of a trajectory beside it.
 
     Raises:
         UserError: a file cannot be read, or is no mission; the text names the file and the waypoint.
     """
     try:
-        content = load_yaml(read_user_text(path, limit=TEXT_MAX))
-    except OSError as error:
-        raise UserError(f"Cannot read the mission {path}: {error.strerror or error}.") from error
+        return read_mission(path, _recorded_path)
     except ValueError as error:
-        raise UserError(f"{path} is {error}.") from error
-    rows = content.get("waypoints") if isinstance(content, dict) else None
-    for row in rows if isinstance(rows, list) else ():
-        if isinstance(row, dict) and isinstance(row.get("path"), str):
-            row["path"] = _recorded_path(path.parent / row["path"])
-    try:
-        return Mission.from_dict(content)
-    except ValueError as error:
-        raise UserError(f"{path}: {error}") from error
+        raise UserError(str(error)) from error
 
 
 def _recorded_path(path: Path) -> list[list[float]]:

@@ -11,7 +11,8 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import Encoded
 from aero_planner.output_files import whole_file
 from aero_viz.errors import UserError
 from aero_viz.point_times import point_times

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from aero_planner import VehicleState
-from aero_planner.onboard.ros_messages import BODY, DEFINITIONS, WORLD, Encoded, pose_messages
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import BODY, WORLD, Encoded, pose_messages
 from aero_planner.quaternions import compose_transforms, invert_transform
 from aero_viz.errors import UserError
 from aero_viz.recordings.bag_file import Channel

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import yaml
 
+from aero_planner.plain_yaml import compose_yaml
 from aero_planner.user_file import open_user_file
 from aero_viz.errors import UserError
 from aero_viz.input_limits import METADATA_MAX
-from aero_viz.plain_yaml import compose_yaml
 from aero_viz.recordings.bag_file import BagFile, list_names, one_line
 from aero_viz.recordings.choices import AUTOMATIC, Choices
 from aero_viz.recordings.compressed_file import COMPRESSED_MAGICS, decompress_file

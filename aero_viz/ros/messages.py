@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import PlanStatus
-from aero_planner.onboard.ros_messages import BEST_WIDTH, BODY, MARKERS, WIDTH, WORLD, CdrWriter, Encoded, cloud
+from aero_planner.onboard.ros_definitions import MARKERS
+from aero_planner.onboard.ros_messages import BEST_WIDTH, BODY, WIDTH, WORLD, CdrWriter, Encoded, cloud
 from aero_planner.quaternions import rotate
 from aero_viz.planners.plan import Plan, cell_angles, directions_at, ensemble
 from aero_viz.session.frame import Frame, end_sentence

@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 from aero_planner import VehicleState
-from aero_planner.onboard.ros_messages import CLOUD, MARKERS, PATH, Encoded, best_path, guide_lines
+from aero_planner.onboard.ros_definitions import CLOUD, MARKERS, PATH
+from aero_planner.onboard.ros_messages import Encoded, best_path, guide_lines
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages
 from aero_viz.ros import messages

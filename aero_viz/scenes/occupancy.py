@@ -9,9 +9,9 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.plain_yaml import plain_values
 from aero_planner.user_file import open_companion, open_user_file, read_user_text
 from aero_viz.input_limits import IMAGE_PIXELS_MAX, METADATA_MAX
-from aero_viz.plain_yaml import plain_values
 from aero_viz.scenes.solids import Solids
 
 IMAGE_SUFFIXES = (".png", ".pgm")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aero_planner import Goal, Plan, PlannerConfig, PlanStatus, Sweeps, VehicleState
+from aero_planner.mission_progress import MissionEvent
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.telemetry import PLAN_ARRAYS, POINT_STEP
@@ -93,7 +94,7 @@ class NodeClient:
         self._frames = _FrameMaker(self.name, self.config, 1.0 / self.onboard.rates.replan)
 
     def __iter__(self) -> Iterator[Frame | Notice]:
-        """Yield frames, and a notice for each transition of the drone's safety state, until the connection ends.
+        """Yield frames, and a notice for each transition of the safety state and each end of a leg, until the end.
 
         A node without a goal may be silent for any time. A node that the network no longer reaches counts as lost
         after a few seconds.
@@ -104,6 +105,8 @@ class NodeClient:
         while (message := self._next()) is not None:
             if message.kind == Kind.CHANGE:
                 yield _notice(message)
+            elif message.kind == Kind.EVENT:
+                yield _leg_notice(message, self.name)
             elif message.kind == Kind.STATUS:
                 yield from self._take_status(message)
             elif message.kind == Kind.PLAN:
@@ -217,7 +220,7 @@ class _FrameMaker:
             config=self.config,
             config_version=self.version,
             outcome=None,
-            explanation=_explanation(State[values["safety"]], values["missing"]),
+            explanation=_explanation(State[values["safety"]], values["missing"]) + _leg(values),
             timings_ms={"observe": 0.0, "plan": float(values["plan_ms"]), "advance": 0.0},
             rate=self._rate(time, int(values["number"])),
             dropped_ticks=int(values["late_ticks"]),
@@ -251,8 +254,24 @@ def _state(arrays: Mapping[str, Any], name: str) -> VehicleState:
     return VehicleState(position.reshape(3), velocity.reshape(3), quaternion.reshape(4), None, float(time))
 
 
+def _leg(values: Mapping[str, Any]) -> str:
+    """Return which waypoint is flown to; nothing of a node without a mission, or an older one."""
+    if values.get("waypoint") is None:
+        return ""
+    number, count = int(values["waypoint"]) + 1, int(values["waypoints"])
+    return f" Waypoint {number} of {count}." if number <= count else f" All {count} waypoints are done."
+
+
 def _explanation(state: State, missing: list[str]) -> str:
     return f"{state.name}: {state.value}{''.join(f'; {cause}' for cause in missing)}."
+
+
+def _leg_notice(message: Message, name: str) -> Notice:
+    try:
+        event = MissionEvent.from_dict(message.values)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise UserError(f"The node at {name} sent a malformed event of its mission: {error!r}.") from error
+    return Notice("failure" if event.kind == "given_up" else "info", event.text)
 
 
 def _notice(message: Message) -> Notice:

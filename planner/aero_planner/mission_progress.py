@@ -70,6 +70,7 @@ class MissionProgress:
         nearest: smallest distance to the waypoint on this leg, at the last time at which it came nearer [m].
         nearest_time: that time [s].
         place: position at the last tick [m]; None before the first one.
+        stopped_time: time at which the drone has stopped at the waypoint [s]; None before it has.
     """
 
     mission: Mission
@@ -80,6 +81,7 @@ class MissionProgress:
     nearest: float = math.inf
     nearest_time: float = 0.0
     place: Position | None = None
+    stopped_time: float | None = None
 
     @property
     def waypoint(self) -> Waypoint:
@@ -159,8 +161,10 @@ class MissionProgress:
             here = dataclasses.replace(here, nearest=closest, nearest_time=time)
         if self.is_moving(time):
             return here
-        if waypoint.stop and distance <= waypoint.radius and speed <= STOPPED:
-            return _ended(here, "stopped", time, distance)
+        if here.stopped_time is None and waypoint.stop and distance <= waypoint.radius and speed <= STOPPED:
+            here = dataclasses.replace(here, stopped_time=time)
+        if here.stopped_time is not None:  # a gust during the hold does not begin it again
+            return here if time - here.stopped_time < waypoint.hold else _ended(here, "stopped", time, distance)
         if not waypoint.stop and closest <= waypoint.radius and share < 1.0:
             return _ended(here, "passed", time, closest)
         if time - here.nearest_time >= waypoint.timeout and not self.is_last:
@@ -186,6 +190,11 @@ class MissionProgress:
         if not self.is_over and mission.waypoints[self.index] == self.waypoint:
             return dataclasses.replace(self, mission=mission, beyond=None)
         return MissionProgress(mission, self.index, time, self.events, nearest_time=time, place=self.place)
+
+    def paused(self, time: float, duration: float) -> MissionProgress:
+        """Return the progress after a time [s] in which the drone did not fly the mission, at its end `time` [s]."""
+        stopped = None if self.stopped_time is None else self.stopped_time + duration
+        return dataclasses.replace(self.jump(time), since=self.since + duration, stopped_time=stopped)
 
     def arrive(self, time: float, position: ArrayLike) -> MissionProgress:
         """Return the progress after an arrival by other rules, at a time [s] and a position [m]."""

@@ -26,7 +26,7 @@ TIMEOUT = 10.0
 _COORDINATE_MAX = 1e8
 """Maps may have the coordinates of a whole country [m]."""
 _RADIUS_MAX = 100.0
-_TIMEOUT_MAX = 600.0
+_TIMEOUT_MAX = _HOLD_MAX = 600.0
 _ROWS_MAX = 100_000
 
 
@@ -41,6 +41,7 @@ class Waypoint:
         speed: speed limit of the leg that leads there [m/s]; None is that of the configuration.
         timeout: time without coming nearer after which the drone flies on to the next waypoint [s]. It is not the time
             of the whole leg, so that one value fits legs of any length, and a detour that makes progress has no limit.
+        hold: time for which the drone stays at the stop [s].
         path: rows of time [s] and x, y, z [m]: the goal moves along them from the beginning of the leg on, and the leg
             ends when its end is reached; empty for a goal that stands.
 
@@ -53,6 +54,7 @@ class Waypoint:
     stop: bool = False
     speed: float | None = None
     timeout: float = TIMEOUT
+    hold: float = 0.0
     path: tuple[tuple[float, float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
@@ -73,6 +75,9 @@ class Waypoint:
             object.__setattr__(self, name, value)
         if not isinstance(self.stop, bool):
             raise ValueError(f"stop is {_short(self.stop)}; it must be true or false.")
+        object.__setattr__(self, "hold", _number(self.hold, "hold"))
+        if not 0.0 <= self.hold <= (_HOLD_MAX if self.stop else 0.0):
+            raise ValueError(f"hold is {self.hold:g}; it must be 0 to {_HOLD_MAX:g} s, and 0 without a stop.")
         if self.speed is not None:
             speed = PlannerConfig.find("vehicle.speed_limit").check(_number(self.speed, "speed"))
             object.__setattr__(self, "speed", float(speed))

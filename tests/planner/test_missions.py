@@ -79,6 +79,23 @@ def test_a_stop_asks_for_rest_within_the_radius():
     assert [event.kind for event in progress.events] == ["stopped"]
 
 
+def test_a_drone_stays_at_a_stop_for_the_time_to_hold_also_if_a_gust_moves_it():
+    progress = MissionProgress(Mission((Waypoint((0, 0, 2), stop=True, hold=3.0), Waypoint((9, 0, 2)))))
+    for time, x, speed in ((0.0, 0.2, 0.1), (1.0, 1.4, 0.9), (2.9, 0.2, 0.1)):
+        progress = progress.advance(time, (x, 0.0, 2.0), speed)
+        assert progress.index == 0
+    paused = progress.paused(12.9, 10.0)  # the pilot had the drone meanwhile
+    assert paused.advance(12.95, (0.2, 0.0, 2.0), 0.1).index == 0
+    assert paused.advance(13.1, (0.2, 0.0, 2.0), 0.1).index == 1
+    assert progress.advance(3.0, (0.2, 0.0, 2.0), 0.1).events[-1].kind == "stopped"
+
+
+@pytest.mark.parametrize(("hold", "stop"), [(3.0, False), (-1.0, True), (601.0, True)])
+def test_a_time_to_hold_is_bounded_and_needs_a_stop(hold: float, stop: bool):
+    with pytest.raises(ValueError, match=r"hold is .*; it must be 0 to 600 s, and 0 without a stop"):
+        Waypoint((0.0, 0.0, 2.0), stop=stop, hold=hold)
+
+
 def test_a_passed_waypoint_is_never_flown_to_again():
     waypoints = mission("10,0,2", "0,0,2", "10,0,2", "5,0,2")
     path = np.concatenate(

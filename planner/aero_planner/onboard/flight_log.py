@@ -19,6 +19,7 @@ import numpy as np
 from aero_planner.config import PlannerConfig
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
+from aero_planner.mission_progress import MissionEvent
 from aero_planner.onboard import ros_messages
 from aero_planner.onboard.flight_config import format_onboard
 from aero_planner.onboard.interfaces import (
@@ -29,6 +30,7 @@ from aero_planner.onboard.interfaces import (
     PointPacket,
     VehicleSample,
 )
+from aero_planner.onboard.ros_definitions import DEFINITIONS
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.quaternions import quaternion_from_angles, rotate
@@ -53,6 +55,7 @@ class FlightLog(Observer):
         /plan, /plan/best: Every plan.
         /plan/guides, /plan/rollouts: Guides and rollouts, at most ten times per second.
         /safety: Every transition of the safety state.
+        /mission: Every end of a leg of the mission.
 
     Attachments hold both configurations, and every later one of the planner. Times are wall time, derived from the
     clock when the file is opened.
@@ -141,6 +144,8 @@ class FlightLog(Observer):
             elif isinstance(item, StateChange):
                 stamp = self._stamp(item.time)
                 self._add(stamp, ros_messages.safety_change(item, stamp))
+            elif isinstance(item, MissionEvent):
+                self._add(self._stamp(item.time), ros_messages.mission_event(item))
             elif isinstance(item, ConfigChange):
                 self._attach_config(self._stamp(item.time), item.version, item.config)
             elif isinstance(item, VehicleSample):
@@ -208,7 +213,7 @@ class FlightLog(Observer):
     def _add(self, stamp: int, *messages: ros_messages.Encoded) -> None:
         for topic, kind, data in messages:
             if topic not in self._channels:
-                schema = self._writer.register_schema(kind, "ros2msg", ros_messages.DEFINITIONS[kind].encode())
+                schema = self._writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
                 self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
             self._writer.add_message(self._channels[topic], stamp, data, stamp)
 

@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.check_report import Check
+from aero_planner.missions import Mission
 from aero_planner.onboard.cloud_drift import measure_drift
 from aero_planner.onboard.failsafe_conditions import is_inside_fence
+from aero_planner.onboard.goal_tracker import named_places
 from aero_planner.onboard.ground_tracker import GroundSource, GroundTracker
 from aero_planner.onboard.interfaces import PointSource, VehicleLink, VehicleSample
 from aero_planner.onboard.settings import OnboardConfig
@@ -30,7 +32,7 @@ def check_inputs(
     lidar: PointSource,
     onboard: OnboardConfig,
     *,
-    goal: ArrayLike | None = None,
+    goal: ArrayLike | Mission | None = None,
     listen: float = 3.0,
     clock: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], object] = time.sleep,
@@ -41,7 +43,7 @@ def check_inputs(
         link: Connection to the autopilot; nothing is commanded.
         lidar: The sensor.
         onboard: Configuration of the node.
-        goal: [m], shape [3], world frame; None expects a goal over the link.
+        goal: [m], shape [3], world frame, or a mission; None expects a goal over the link.
         listen: Time to listen [s].
         clock: Host time [s].
         sleep: Waits for a time [s].
@@ -259,7 +261,7 @@ def _check_ground(ground: GroundTracker, onboard: OnboardConfig) -> Check:
 
 
 def _check_positions(
-    sample: VehicleSample | None, goal: ArrayLike | None, ground: float, onboard: OnboardConfig
+    sample: VehicleSample | None, goal: ArrayLike | Mission | None, ground: float, onboard: OnboardConfig
 ) -> list[Check]:
     checks = []
     outside = "It lies outside the geofence; correct limits.fence_*."
@@ -272,10 +274,11 @@ def _check_positions(
     if goal is None:
         advice = "Give one with --goal, or send it from the ground station; until then the node waits."
         return [*checks, Check("goal", "none yet", ok=False, required=False, advice=advice)]
-    goal = np.asarray(goal, dtype=np.float64)
     advice = "It lies outside the geofence; correct it or limits.fence_*."
-    is_inside = is_inside_fence(goal, onboard.limits, ground=ground)
-    return [*checks, Check("goal", _format_position(goal), ok=is_inside, advice=advice)]
+    for name, place in named_places(goal if isinstance(goal, Mission) else np.asarray(goal, dtype=np.float64)):
+        is_inside = is_inside_fence(place, onboard.limits, ground=ground)
+        checks.append(Check(name, _format_position(np.array(place)), ok=is_inside, advice=advice))
+    return checks
 
 
 def _format_position(position: NDArray[np.float64]) -> str:

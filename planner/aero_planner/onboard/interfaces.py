@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner.config import PlannerConfig
+from aero_planner.mission_progress import MissionEvent, MissionProgress
 from aero_planner.onboard.failsafe_table import Cause, State
+from aero_planner.onboard.mission_offer import MissionOffer
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.plan import Plan, VehicleState
 from aero_planner.sweeps import Sweeps
@@ -135,6 +137,15 @@ class VehicleLink(CommandSink, Protocol):
         ...
 
     @property
+    def offer(self) -> MissionOffer | None:
+        """The last mission received; None before the first."""
+        ...
+
+    def report_mission(self, progress: MissionProgress | None) -> None:
+        """Tell the ground about the progress in the mission; None if there is no mission."""
+        ...
+
+    @property
     def dropped(self) -> Mapping[str, int]:
         """Number of states and goals that could not be used, by reason."""
         ...
@@ -192,6 +203,8 @@ class PlanRecord(PlanResult):
     """Number of deadlines that the control loop has missed since the start."""
     sweeps: int = 10
     """Number of sweeps in the cloud, with the thinned ones."""
+    mission: MissionProgress | None = None
+    """Progress in the mission; None without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +219,7 @@ class ConfigChange:
     """Configuration from the next plan on."""
 
 
-Observation: TypeAlias = PlanRecord | StateChange | ConfigChange | VehicleSample | PointPacket
+Observation: TypeAlias = PlanRecord | StateChange | ConfigChange | MissionEvent | VehicleSample | PointPacket
 
 
 class Observer:

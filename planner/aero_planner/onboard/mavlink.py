@@ -1,11 +1,13 @@
 """The autopilot over MAVLink 2: receives vehicle state, heartbeat and goal; sends thrust and body rates.
 
 The first autopilot with the system id of the settings is the only one from then on: messages from elsewhere are
-ignored, except for goals from the senders that the settings name. A goal comes from SET_POSITION_TARGET_LOCAL_NED
-addressed to this component. `aero_planner.onboard.mavlink_state` tells where the state comes from.
+ignored, except for goals and missions from the senders that the settings name. A goal comes from
+SET_POSITION_TARGET_LOCAL_NED addressed to this component, a mission as `aero_planner.onboard.mavlink_mission` tells,
+the state as `aero_planner.onboard.mavlink_state` does.
 
-Besides commands (`MavlinkSender`), only a heartbeat per second, TIMESYNC, and requests for messages and parameters are
-sent, and in preflight changes of parameters: nothing here can arm the vehicle or switch its mode.
+Besides commands (`MavlinkSender`), only a heartbeat per second, TIMESYNC, answers to missions and their progress, and
+requests for messages and parameters are sent, and in preflight changes of parameters: nothing here can arm the vehicle
+or switch its mode.
 """
 
 from __future__ import annotations
@@ -21,15 +23,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from aero_planner.mission_progress import MissionProgress
 from aero_planner.onboard.frames import world_from_ned
 from aero_planner.onboard.interfaces import VehicleSample
+from aero_planner.onboard.mavlink_mission import MissionReceiver
 from aero_planner.onboard.mavlink_parser import MavlinkParser
 from aero_planner.onboard.mavlink_sender import MavlinkSender, load_dialect
 from aero_planner.onboard.mavlink_signing import SignatureChecker
 from aero_planner.onboard.mavlink_state import COORDINATE_LIMIT, StateReceiver
+from aero_planner.onboard.mission_offer import MissionOffer
 from aero_planner.onboard.signing_memory import SigningMemory
 from aero_planner.onboard.thrust import ThrustModel
-from aero_planner.onboard.transport import open_transport
+from aero_planner.onboard.transport import Address, open_transport
 
 _log = logging.getLogger(__name__)
 
@@ -43,7 +48,7 @@ _MODE_PERIOD = 0.1  # [s] between two requests for the heartbeat of an armed veh
 _DATAGRAMS_PER_POLL = 128  # twenty times as many as arrive in a control period
 _POLL_TIME = 0.004  # [s] of processor time that a poll may take; what is left waits in the socket
 _GOAL = "SET_POSITION_TARGET_LOCAL_NED"
-_WANTED = (*StateReceiver.MESSAGES, "PARAM_VALUE", _GOAL)
+_WANTED = (*StateReceiver.MESSAGES, *MissionReceiver.MESSAGES, "PARAM_VALUE", "HOME_POSITION", _GOAL)
 _PARAMETERS_MAX = 5000
 _FLOAT, _INTEGER = struct.Struct("<f"), struct.Struct("<i")
 _IGNORED_MAX = 20  # kinds of ignored messages that are counted separately
@@ -114,6 +119,7 @@ class MavlinkLink(MavlinkSender):
             systems={system, *(sender for sender, _ in self._goal_senders)},
             signatures=self._signatures,
         )
+        self._missions = MissionReceiver(self._dialect, system, component, clock, self.send_message)
         self._state_rate = state_rate
         self._polling = threading.Lock()
         self.is_drained = False
@@ -148,9 +154,18 @@ class MavlinkLink(MavlinkSender):
         """Destination of commands, see `onboard.transport.Transport`; None before the autopilot is heard."""
         return self._transport.peer
 
-    def send_message(self, message: Any) -> bool:
+    @property
+    def offer(self) -> MissionOffer | None:
+        """See `VehicleLink`."""
+        return self._missions.offer
+
+    def report_mission(self, progress: MissionProgress | None) -> None:
+        """See `VehicleLink`."""
+        self._missions.report(progress)
+
+    def send_message(self, message: Any, address: Address | None = None) -> bool:
         """See `MavlinkSender`; a vehicle that is not supported gets no message at all."""
-        return self.is_supported and super().send_message(message)
+        return self.is_supported and super().send_message(message, address)
 
     def poll(self) -> None:
         """Read the messages that have arrived, and send a heartbeat when one is due.
@@ -161,6 +176,7 @@ class MavlinkLink(MavlinkSender):
             return  # another thread is polling
         try:
             self._receive()
+            self._missions.step()
             self._request_mode()
             self._request_time()
             now = self._time()
@@ -204,6 +220,10 @@ class MavlinkLink(MavlinkSender):
         name, sender = message.get_type(), self._transport.sender
         if name == _GOAL:
             self._process_goal(message, sender)
+        elif name in MissionReceiver.MESSAGES:
+            if self._missions.is_addressed(message) and self._may_send(message, sender, "mission"):
+                self._missions.process(message, self._transport.reply_address)
+            return
         if (message.get_srcSystem(), message.get_srcComponent()) != (self._system, 1):
             return
         if sender is not None:
@@ -213,6 +233,8 @@ class MavlinkLink(MavlinkSender):
         self.received[name] = self.received.get(name, 0) + 1
         if name == "PARAM_VALUE":
             self._process_parameter(message)
+        elif name == "HOME_POSITION":
+            self._missions.set_home(message)
         elif name in StateReceiver.MESSAGES:
             self._arrived[name] = self._arrived.get(name, 0) + self._receiver.process(message)
         if name == "HEARTBEAT":
@@ -284,14 +306,7 @@ class MavlinkLink(MavlinkSender):
 
     def _process_goal(self, message: Any, sender: str | None) -> None:
         is_for_us = message.target_system in (0, self._system) and message.target_component in (0, self._component)
-        if not is_for_us:
-            return
-        system = message.get_srcSystem()
-        if self._transport.peer is None:
-            return  # the autopilot is not known yet, so neither is whether it forwards this
-        if (system, sender) not in self._goal_senders:
-            entry = f"{system}@{sender or 'autopilot'}"
-            self._ignore(f"goal from {entry}", f"add {entry} to mavlink.goal_senders to obey it")
+        if not is_for_us or not self._may_send(message, sender, "goal"):
             return
         self.received[_GOAL] = self.received.get(_GOAL, 0) + 1
         position = world_from_ned([message.x, message.y, message.z])
@@ -300,6 +315,17 @@ class MavlinkLink(MavlinkSender):
         if ignored or not local or not np.abs(position).max() <= COORDINATE_LIMIT:
             return self._drop("SET_POSITION_TARGET_LOCAL_NED in another frame, incomplete, or not finite")
         self.goal = position
+
+    def _may_send(self, message: Any, sender: str | None, what: str) -> bool:
+        """Return True if goals and missions are taken from who has sent a message."""
+        if self._transport.peer is None:
+            return False  # the autopilot is not known yet, so neither is whether it forwards this
+        system = message.get_srcSystem()
+        if (system, sender) in self._goal_senders:
+            return True
+        entry = f"{system}@{sender or 'autopilot'}"
+        self._ignore(f"{what} from {entry}", f"add {entry} to mavlink.goal_senders to obey it")
+        return False
 
     def _ignore(self, what: str, advice: str) -> None:
         if what not in self.ignored:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from aero_planner.onboard.frames import attitude_to_ned, frd_from_flu
 from aero_planner.onboard.mavlink_signing import signing_time
 from aero_planner.onboard.thrust import ThrustModel
-from aero_planner.onboard.transport import Transport
+from aero_planner.onboard.transport import Address, Transport
 
 
 def load_dialect() -> Any:
@@ -105,10 +105,10 @@ class MavlinkSender:
         )
         self.sent += self.send_message(message)
 
-    def send_message(self, message: Any) -> bool:
-        """Send one of the dialect's messages; return False if there is no transport or no room."""
+    def send_message(self, message: Any, address: Address | None = None) -> bool:
+        """Send one of the dialect's messages, to the autopilot or to an address; return False if there is no room."""
         with self._sending:
             self._signing.timestamp = max(self._signing.timestamp, self.min_signing_time, signing_time())
             data = message.pack(self._packer)
             self._packer.seq = (self._packer.seq + 1) % 256
-            return self.transport is not None and self.transport.send(bytes(data))
+            return self.transport is not None and self.transport.send(bytes(data), address)

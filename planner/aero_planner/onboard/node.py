@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aero_planner.missions import Mission
 from aero_planner.onboard.agreement import check_together
 from aero_planner.onboard.command_choice import Command, CommandChoice
 from aero_planner.onboard.dead_reckoning import DeadReckoning, MotionState
@@ -56,7 +57,7 @@ class Node:
         link: Connection to the autopilot; closed with the node.
         lidar: Source of points; closed with the node.
         config: Configuration of the node.
-        goal: Where to fly [m], shape [3], world frame. None waits for a goal over the link. A goal over the link
+        goal: Where to fly [m], shape [3], world frame, or a mission. None waits. A goal or mission over the link
             always replaces this one.
         clock: Host time [s], the same as that of link and LiDAR.
         observers: The flight log and the telemetry server, for example; closed with the node.
@@ -84,7 +85,7 @@ class Node:
         lidar: PointSource,
         config: OnboardConfig,
         *,
-        goal: ArrayLike | None = None,
+        goal: ArrayLike | Mission | None = None,
         clock: Callable[[], float] = time.monotonic,
         observers: Sequence[Observer] = (),
         failsafe: Failsafe | None = None,
@@ -122,8 +123,7 @@ class Node:
         self._readiness = ReadinessLog()
         self.snapshot: ControlSnapshot | None = None
         self._sample: VehicleSample | None = None
-        self._state_finite, self._stopping = True, False
-        self._points_time = -math.inf
+        self._state_finite, self._stopping, self._points_time = True, False, -math.inf
         self._fell_silent, self._closing = threading.Event(), threading.Event()
         self._loops = self._make_loops()
         self._threads = LoopThreads(self._loops, self._closing)
@@ -227,8 +227,7 @@ class Node:
             return False
         self._notify(PlanRecord(
             **vars(result),
-            safety=self.state,
-            missing=self.safety.missing(),
+            safety=self.state, missing=self.safety.missing(), mission=self._goals.progress,
             late_ticks=self._loops["control"].statistics.missed,
             sweeps=self.config.lidar.sweeps + self.config.lidar.older_sweeps,
         ))  # fmt: skip
@@ -255,6 +254,7 @@ class Node:
             if self._state_finite:
                 if previous is not None and sample.resets != previous.resets:
                     self._commands.forget_places(sample.time)
+                    self._goals.jump()
                     self.ground.clear()
                     self._drift_correction.clear()
                 if self._sample is not None:
@@ -272,7 +272,6 @@ class Node:
             self.ground.add_sample(self._sample, previous)
             if (height := self._replanner.take_ground_height(self._sample.resets)) is not None:
                 self.ground.add_cloud(self._sample.time, height)
-        self._goals.update(self._link.goal, ground=self.ground.known_height)
 
     def _read_points(self) -> None:
         for packet in self._lidar.poll():
@@ -283,13 +282,19 @@ class Node:
                 self._notify(packet)
 
     def _gather_inputs(self, now: float, loop_age: float) -> tuple[Inputs, MotionState | None]:
-        latest, sample, goal = self._link.state, self._sample, self.goal
+        latest, sample = self._link.state, self._sample
         if sample is not None and (measured := self._replanner.take_drift(sample.resets)) is not None:
             self._drift.add(now, *measured)
             self._drift_correction.add(now, *measured)
         self._drift.update(now)
         plan = self.schedule.at(now)
         motion = None if sample is None else self._reckoning.at(max(now, sample.time))
+        event = self._goals.follow(
+            self._link, now, motion, ground=self.ground.known_height, refusal=self.safety.refusal,
+            flying=self.state in (State.FLYING, State.ARRIVED),
+        )  # fmt: skip
+        if event is not None:
+            self._notify(event)
         position = np.full(3, np.nan) if motion is None else motion.position
         inputs = Inputs(
             armed=latest is not None and latest.armed,
@@ -305,22 +310,19 @@ class Node:
             position_std=math.nan if latest is None else latest.position_std,
             velocity_std=math.nan if latest is None else latest.velocity_std,
             fix_age=math.nan if latest is None else now - latest.fix_time,
-            drift_angle=self._drift.angle,
-            drift_speed=self._drift.speed,
+            drift_angle=self._drift.angle, drift_speed=self._drift.speed,
             inside_fence=is_inside_fence(position, self.config.limits, ground=self.ground.height),
             below_floor=bool(position[2] < self._floor),
             loop_age=loop_age,
             speed=math.nan if motion is None else motion.speed,
-            goal_distance=math.inf if goal is None else float(np.linalg.norm(goal - position)),
-            goal_number=self._goals.count,
-            stopping=self._stopping,
+            goal_distance=self._goals.distance(position), goal_number=self._goals.count, stopping=self._stopping,
             transmitter_lost=latest is not None and latest.transmitter is False,
             battery_low=latest is not None and latest.battery_low,
             round_trip=math.nan if latest is None else latest.round_trip,
             supported=latest is None or latest.supported,
             guarded=self._failsafe is None or not self._failsafe.lost,
             clock_set=not self._is_signed or clock_is_set(),
-        )
+        )  # fmt: skip
         return inputs, motion
 
     def _report(
@@ -334,7 +336,7 @@ class Node:
         if self._sample is not None and motion is not None:
             self.snapshot = ControlSnapshot(
                 self._sample, motion, self.goal, self.ground.height, obeyed, follows_plan,
-                self._disturbance.acceleration,
+                self._disturbance.acceleration, self._goals.speed_limit,
             )  # fmt: skip
         upcoming = self._commands.upcoming(now) if follows_plan else None
         path, gain = self._commands.path, self._thrust.gain

@@ -25,6 +25,7 @@ from aero_planner.onboard.input_checks import check_inputs
 from aero_planner.onboard.log_place import check_log_place
 from aero_planner.onboard.mavlink import MavlinkLink
 from aero_planner.onboard.mavlink_signing import clock_is_set, load_key
+from aero_planner.onboard.mission_offer import first_goal
 from aero_planner.onboard.px4_parameters import (
     ParameterChange,
     check_parameters,
@@ -93,7 +94,10 @@ def preflight(
             if connection is not None:
                 opened.callback(connection.close)
         if link is not None and lidar is not None and ros_check.ok:
-            checks += [*check_inputs(link, lidar, onboard, goal=goal, listen=listen), *_check_autopilot(link, onboard)]
+            checks += [
+                *check_inputs(link, lidar, onboard, goal=first_goal(onboard, goal), listen=listen),
+                *_check_autopilot(link, onboard),
+            ]
             checks += _check_parameters(link, onboard, confirm)
     return CheckReport(tuple(checks), "Ready to fly.", "NOT ready to fly; see above.")
 

@@ -73,6 +73,8 @@ class ControlSnapshot:
     """True if the command comes from the plan."""
     disturbance: NDArray[np.float64]
     """Acceleration besides thrust and gravity [m/s^2], shape [3], world frame."""
+    speed_limit: float | None = None
+    """Speed limit of the present leg of a mission [m/s]; None if it has none of its own."""
 
 
 class Replanner:
@@ -115,6 +117,7 @@ class Replanner:
         self._next_ground = self._next_drift = -np.inf
         self._drift: tuple[int, Drift, float] | None = None  # reset counter, a new measurement and its interval
         self._config, self._velocity_std, self._speed_share = planner.config, config.limits.velocity_std, 1.0
+        self._leg_limit = math.inf  # of the speed [m/s]
         self._schedule = schedule
         self._clock = clock
         self._arrivals: deque[VehicleSample | PointPacket] = deque(maxlen=_ARRIVALS)
@@ -178,7 +181,7 @@ class Replanner:
         self, snapshot: ControlSnapshot, goal: NDArray[np.float64], cloud: Sweeps, cloud_age: float, start: float
     ) -> PlanResult | None:
         state = self._predict_state(snapshot, start)
-        self._limit_speed(snapshot.sample.velocity_std)
+        self._limit_speed(snapshot.sample.velocity_std, snapshot.speed_limit or math.inf)
         try:
             # A Mid-360 does not see the ground below it, so the planner keeps out of everything below the geofence.
             plan = self._planner.plan(
@@ -225,19 +228,20 @@ class Replanner:
         return tuning.take(self._configure)
 
     def _configure(self, config: PlannerConfig) -> None:
-        """Plan with a configuration, but for the share of its speed limit that may be flown."""
-        limit, lowest = config.vehicle.speed_limit, PlannerConfig.find("vehicle.speed_limit").low or 0.0
+        """Plan with a configuration, but for the share of its speed limit, or of the leg's, that may be flown."""
+        lowest = PlannerConfig.find("vehicle.speed_limit").low or 0.0
+        limit = min(config.vehicle.speed_limit, self._leg_limit)
         self._planner.configure(config.replace({"vehicle.speed_limit": max(self._speed_share * limit, lowest)}))
         self._config = config
 
-    def _limit_speed(self, velocity_std: float) -> None:
-        """Lower the planner's speed limit while the velocity is uncertain, by its standard deviation [m/s]."""
+    def _limit_speed(self, velocity_std: float, leg_limit: float) -> None:
+        """Lower the planner's speed limit to that of the leg [m/s], and further while the velocity is uncertain."""
         share, before = speed_share(velocity_std, self._velocity_std), self._speed_share
-        if share == before:
+        if (share, leg_limit) == (before, self._leg_limit):
             return
-        self._speed_share = share
+        self._speed_share, self._leg_limit = share, leg_limit
         self._configure(self._config)
-        if before == 1.0:
+        if share < before == 1.0:
             _log.warning("the autopilot's velocity is uncertain by %.2f m/s: the speed is limited", velocity_std)
 
     def take_ground_height(self, resets: int) -> float | None:

@@ -22,6 +22,7 @@ from aero_planner.onboard.interfaces import Observer
 from aero_planner.onboard.known_drone import config_on_drone
 from aero_planner.onboard.log_place import make_log_path, unwritable
 from aero_planner.onboard.mavlink_signing import load_key
+from aero_planner.onboard.mission_offer import first_goal
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.ros_tuning import RosTuning
 from aero_planner.onboard.settings import OnboardConfig
@@ -60,7 +61,7 @@ def run_node(
     Args:
         planner_config, onboard: configurations to fly with.
         device, seed, threads: as for `Planner`.
-        goal: position [m], shape [3], world frame; None if the goal arrives over the link.
+        goal: position [m], shape [3], world frame; None if mission.file says where to fly, or the link.
         log: where the flight log is written, see `aero_planner.onboard.log_place`; None for no flight log.
         bundle: bundle whose kernels are used, after `Bundle.activate`.
 
@@ -73,6 +74,7 @@ def run_node(
     """
     if not planner_config.costs.use_ground:
         _log.warning("costs.use_ground is off; the node switches it on to stay above limits.fence_height_min")
+    first = first_goal(onboard, goal)
     planner_config = config_on_drone(planner_config, onboard)
     with contextlib.ExitStack() as resources:
         with _planning_errors(device):
@@ -88,7 +90,7 @@ def run_node(
         failsafe = FailsafeProcess(onboard, planner_config.vehicle, lambda: link.peer, lambda: link.min_signing_time)
         opened.callback(failsafe.close)
         with _planning_errors(device):
-            own = {"goal": goal, "observers": observers, "failsafe": failsafe, "tuning": tuning}
+            own = {"goal": first, "observers": observers, "failsafe": failsafe, "tuning": tuning}
             node = Node(planner, link, lidar, onboard, **own)
             plan_time = node.warm_up()
         _log.info("a plan takes %.1f ms on %s", 1e3 * plan_time, planner.device)

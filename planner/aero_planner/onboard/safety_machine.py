@@ -35,6 +35,13 @@ class StateChange:
     target: State
     cause: Cause
 
+    @property
+    def refusal(self) -> str:
+        """Why nothing that was asked for is taken after it; empty if it may be."""
+        if self.target not in (State.BRAKING, State.WITHDRAWING):
+            return ""
+        return f"the drone is braking: {self.cause.value}; nothing changes until it has stopped."
+
     def __str__(self) -> str:
         return f"{self.source.name} -> {self.target.name}: {self.cause.value}"
 
@@ -63,6 +70,12 @@ class SafetyMachine:
         self._entered = self._last_step = -math.inf
         self._fault_time = 0.0
         self._reached_goal = 0
+        self._last_change: StateChange | None = None
+
+    @property
+    def refusal(self) -> str:
+        """See `StateChange`."""
+        return "" if self._last_change is None else self._last_change.refusal
 
     @property
     def reaction(self) -> Reaction:
@@ -99,7 +112,7 @@ class SafetyMachine:
         self.must_end_level = target is not self.state and self._must_end_level(self.state, target, inputs)
         if cause is not None:
             change = StateChange(now, self.state, target, cause)
-            self.state, self._entered = target, now
+            self.state, self._entered, self._last_change = target, now, change
             if cause is Cause.GOAL_REACHED:
                 self._reached_goal = inputs.goal_number
             if self._on_change is not None:

@@ -42,8 +42,7 @@ class LidarSettings(ParameterSection, section="lidar"):
     )
     sensor: str = text(
         "any", ADDRESS, "an address, or any", "Address of the sensor; packets from other addresses are ignored. Any "
-        "is accepted only where lidar.host is a loopback address.",
-        label="Sensor address",
+        "is accepted only where lidar.host is a loopback address.", label="Sensor address",
     )  # fmt: skip
     keep_uncertain: bool = switch(
         True, "Keep points that the sensor rates as possibly, but not probably, rain or dust.",
@@ -66,14 +65,12 @@ class LidarSettings(ParameterSection, section="lidar"):
     )
     older_sweeps: int = structural(
         20, 0, 100, "Number of older sweeps of which one point in five is in the cloud: what was seen stays while the "
-        "drone flies past it.",
-        label="Older sweeps",
+        "drone flies past it.", label="Older sweeps",
     )  # fmt: skip
     sweep_period: float = live(0.1, "s", 0.01, 1.0, "Duration of a sweep; 0.1 for 10 sweeps per second.")
     points_max: int = structural(
         200_000, 100, 5_000_000, "Largest number of points of the newest sweeps; beyond it, the oldest are dropped. A "
-        "Mid-360 measures 20 000 points per sweep.",
-        label="Maximum number of points",
+        "Mid-360 measures 20 000 points per sweep.", label="Maximum number of points",
     )  # fmt: skip
 
     @property
@@ -108,8 +105,7 @@ class StateSettings(ParameterSection, section="state"):
     )  # fmt: skip
     yaw: float = live(
         0.0, "deg", -180.0, 180.0, "Direction of the odometry's x axis in the autopilot's local frame: 0 is north, -90 "
-        "east, as where MAVROS gives the odometry to the autopilot.",
-        label="Yaw of the odometry's frame",
+        "east, as where MAVROS gives the odometry to the autopilot.", label="Yaw of the odometry's frame",
     )  # fmt: skip
     agree_distance: float = live(
         2.0, "m", 0.1, 1e4, "Distance from the autopilot's own position beyond which the odometry is not used.",
@@ -129,8 +125,7 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
         "udpin:127.0.0.1:14540", CONNECTION,
         "a connection such as udpin:0.0.0.0:14540, udpout:192.168.1.20:14540 or /dev/ttyTHS1",
         "Connection in the notation of pymavlink: udpin:ADDRESS:PORT, udpout:ADDRESS:PORT, or a serial device. With "
-        "udpin, the first autopilot that is heard is the only one from then on.",
-        label="Connection",
+        "udpin, the first autopilot that is heard is the only one from then on.", label="Connection",
     )  # fmt: skip
     baud: int = structural(921_600, 1200, 12_500_000, "Bits per second of a serial device.", label="Baud rate")
     system: int = structural(
@@ -162,6 +157,13 @@ class MavlinkSettings(ParameterSection, section="mavlink"):
 
 
 @dataclass(frozen=True)
+class MissionSettings(ParameterSection, section="mission"):
+    """The mission that the node flies until another one or a goal arrives."""
+
+    file: str = text("none", KEY_FILE, "a path, or none", "YAML file with waypoints, as --mission of `aero-viz fly`.")
+
+
+@dataclass(frozen=True)
 class RateSettings(ParameterSection, section="rates"):
     """Rates of control and planning."""
 
@@ -171,8 +173,7 @@ class RateSettings(ParameterSection, section="rates"):
     )
     compensate: bool = switch(
         True, "Plan from the state that the drone will have when the plan is ready, not from its state when planning "
-        "starts.",
-        label="Compensate for the planning time",
+        "starts.", label="Compensate for the planning time",
     )  # fmt: skip
 
 
@@ -369,6 +370,7 @@ class OnboardConfig(SectionedConfig):
     lidar: LidarSettings = field(default_factory=LidarSettings)
     state: StateSettings = field(default_factory=StateSettings)
     mavlink: MavlinkSettings = field(default_factory=MavlinkSettings)
+    mission: MissionSettings = field(default_factory=MissionSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     thrust: ThrustSettings = field(default_factory=ThrustSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)

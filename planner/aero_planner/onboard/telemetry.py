@@ -21,6 +21,7 @@ import numpy as np
 
 from aero_planner.config import PlannerConfig
 from aero_planner.mailbox import lower_thread_priority
+from aero_planner.mission_progress import MissionEvent
 from aero_planner.onboard.interfaces import ConfigChange, Observation, Observer, PlanRecord
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig, TelemetrySettings
@@ -42,7 +43,7 @@ PLAN_ARRAYS = (
 """Fields of `Plan` that are sent unchanged."""
 
 _CHANGES = 100
-"""Largest number of transitions that wait."""
+"""Largest number of transitions and ends of legs that wait."""
 _BACKLOG = 1 << 16
 """Largest number of unsent bytes with which a viewer is still sent a transition."""
 _STALL_TIMEOUT = 10.0
@@ -100,7 +101,7 @@ class Telemetry(Observer):
         self._next_plan = -np.inf
         self._viewers: dict[socket.socket, _Viewer] = {}
         self._record: PlanRecord | None = None
-        self._changes: deque[StateChange] = deque(maxlen=_CHANGES)
+        self._changes: deque[StateChange | MissionEvent] = deque(maxlen=_CHANGES)
         self._closed = False
         self._server = listen(self._settings)
         self.port: int = self._server.getsockname()[1]
@@ -125,7 +126,7 @@ class Telemetry(Observer):
         """Offer a plan or a change; anything else is ignored."""
         if not self._viewers:
             return
-        if isinstance(item, StateChange):
+        if isinstance(item, StateChange | MissionEvent):
             self._changes.append(item)
             self._notify_thread()
         elif isinstance(item, ConfigChange):
@@ -190,13 +191,12 @@ class Telemetry(Observer):
         self._push(viewer, encode(Kind.HELLO, self._hello | ({} if viewer.link is None else viewer.link.greeting)))
 
     def _send_new(self) -> None:
-        """Send the transitions and the newest plan that the node has offered."""
+        """Send the transitions, the ends of legs and the newest plan that the node has offered."""
         with contextlib.suppress(OSError):
             self._wake_up_end.recv(4096)
         while self._changes:
             change = self._changes.popleft()
-            values = {"time": change.time, "source": change.source.name, "target": change.target.name}
-            data = encode(Kind.CHANGE, {**values, "cause": change.cause.value})
+            data = _encode_change(change)
             for viewer in list(self._viewers.values()):
                 if len(viewer.unsent) < _BACKLOG:
                     self._push(viewer, data)
@@ -280,6 +280,13 @@ def listen(settings: TelemetrySettings) -> socket.socket:
     return server
 
 
+def _encode_change(change: StateChange | MissionEvent) -> bytes:
+    if isinstance(change, MissionEvent):
+        return encode(Kind.EVENT, vars(change))
+    values = {"time": change.time, "source": change.source.name, "target": change.target.name}
+    return encode(Kind.CHANGE, {**values, "cause": change.cause.value})
+
+
 def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
     """Return the message of a plan and its inputs, with at most `points_max` points."""
     plan, state = record.plan, record.measured
@@ -309,6 +316,8 @@ def encode_plan(record: PlanRecord, *, points_max: int) -> bytes:
         "safety": record.safety.name,
         "missing": [cause.value for cause in record.missing],
         "late_ticks": record.late_ticks,
+        "waypoint": None if record.mission is None else record.mission.index,
+        "waypoints": None if record.mission is None else len(record.mission.mission),
     }
     return encode(Kind.PLAN, values, arrays)
 

@@ -48,6 +48,8 @@ class Kind(enum.IntEnum):
     """Sealed, from a viewer: first with its nonce to prove that it holds the key, then a change of parameters."""
     STATUS = 5
     """The present parameters and the answer to a request; sealed for a viewer who holds the key."""
+    EVENT = 6
+    """The end of a leg of the mission."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,9 @@ from aero_planner.onboard.datagram_filter import count_drops, filter_senders
 
 _log = logging.getLogger(__name__)
 
+Address = tuple[str, int]
+"""Host and UDP port."""
+
 _CHUNK = 4096
 _TOLERATED = 20  # datagrams of unknown senders after which the kernel drops them
 _LOGGED_SENDERS = 5
@@ -50,8 +53,13 @@ class Transport(Protocol):
         """Make the sender of the last received data the peer, for good, unless there is a peer already."""
         ...
 
-    def send(self, data: bytes) -> bool:
-        """Send; return False if there is no peer yet, or no room."""
+    @property
+    def reply_address(self) -> Address | None:
+        """Address to which an answer to the last received data goes; None for the peer."""
+        ...
+
+    def send(self, data: bytes, address: Address | None = None) -> bool:
+        """Send to the peer, or to a reply address; return False if there is no peer yet, or no room."""
         ...
 
     def close(self) -> None:
@@ -142,11 +150,15 @@ class _Udp:
             self._peer = self._last_sender
             _log.info("the autopilot is at %s:%d", *self._peer)
 
-    def send(self, data: bytes) -> bool:
+    @property
+    def reply_address(self) -> Address | None:
+        return None if self.sender is None else self._last_sender
+
+    def send(self, data: bytes, address: Address | None = None) -> bool:
         if self._peer is None:
             return False
         try:
-            self._socket.sendto(data, self._peer)
+            self._socket.sendto(data, address or self._peer)
         except OSError:  # no room, or no listener: the stream of commands ends, which the autopilot notices
             return False
         return True
@@ -158,6 +170,7 @@ class _Udp:
 class _Serial:
     datagrams = False
     sender: str | None = None
+    reply_address: Address | None = None
 
     def __init__(self, device: str, baud: int | None) -> None:
         self.peer = device
@@ -199,7 +212,7 @@ class _Serial:
     def accept_sender(self) -> None:
         pass
 
-    def send(self, data: bytes) -> bool:
+    def send(self, data: bytes, address: Address | None = None) -> bool:
         with contextlib.suppress(OSError):
             return os.write(self._file, data) == len(data)
         return False

@@ -12,7 +12,6 @@ from typing import Any
 
 from aero_planner.config import PlannerConfig
 from aero_planner.onboard.agreement import check_together
-from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.interfaces import ConfigChange, Observation, Observer, VehicleSample
 from aero_planner.onboard.safety_machine import StateChange
 from aero_planner.onboard.settings import OnboardConfig
@@ -27,7 +26,6 @@ UNCONFIRMED = "the drone is armed, and the change was not confirmed."
 _UNDO_MAX = 100
 """Number of earlier configurations that are kept."""
 _STEPS = ("takeoff", "undo")
-_BRAKING = (State.BRAKING, State.WITHDRAWING)
 
 
 @dataclass(eq=False)
@@ -158,8 +156,8 @@ class Tuning(Observer):
             raise ValueError(f"it was under way for {age:.0f} s; look at the drone, and send it again.")
         if content.get("version") != self.version:
             raise ValueError("the parameters have changed meanwhile; look at them, and send it again.")
-        if self._safety is not None and self._safety.target in _BRAKING:
-            raise ValueError(f"the drone is braking: {self._safety.cause.value}; nothing changes until it has stopped.")
+        if self._safety is not None and self._safety.refusal:
+            raise ValueError(self._safety.refusal)
         step = content.get("step")
         if step == "takeoff":
             config = self._takeoff

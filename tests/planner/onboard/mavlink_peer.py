@@ -64,6 +64,18 @@ def goal_message(p, *, system=1, component=191, mask=0b110111111000, frame=1):
     )
 
 
+def mission_item(
+    seq, place=(0, 0, 0), *, command=mavlink.MAV_CMD_NAV_WAYPOINT, hold=0.0, radius=0.0, param1=None, param3=0.0,
+    frame=mavlink.MAV_FRAME_LOCAL_NED, scale=1e4, autocontinue=1,
+):  # fmt: skip
+    """Return a MISSION_ITEM_INT; `hold` is param1 and `radius` param2."""
+    first = hold if param1 is None else param1
+    x, y = (round(scale * value) for value in place[:2])
+    return mavlink.MAVLink_mission_item_int_message(
+        1, 191, seq, frame, command, 0, autocontinue, first, radius, param3, math.nan, x, y, float(place[2])
+    )
+
+
 def state_after(link, autopilot, *messages) -> Any:
     autopilot.send(*messages)
     link.poll()

@@ -15,9 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Plan, Planner, PlannerConfig, VehicleState
+from aero_planner.mission_progress import MissionProgress
+from aero_planner.missions import Mission
 from aero_planner.onboard.dead_reckoning import MotionState, propagate
 from aero_planner.onboard.failsafe_table import State
 from aero_planner.onboard.interfaces import Observation, Observer, PointCounters, PointPacket, VehicleSample
+from aero_planner.onboard.mission_offer import MissionOffer
 from aero_planner.onboard.node import Node
 from aero_planner.onboard.settings import OnboardConfig
 from aero_planner.onboard.stop_controller import StopController
@@ -60,6 +63,8 @@ class SimulatedLink:
         self._simulation = simulation
         self.state: VehicleSample | None = None
         self.goal: NDArray[np.float64] | None = None
+        self.offer: MissionOffer | None = None
+        self.progress: MissionProgress | None = None
         self.dropped: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
         self.resets = 0
@@ -106,6 +111,9 @@ class SimulatedLink:
         if values.shape != (4,) or not np.isfinite(values).all():
             raise ValueError(f"the command is {values.tolist()}")
         self.sent.append((self._simulation.now, values))
+
+    def report_mission(self, progress: MissionProgress | None) -> None:
+        self.progress = progress
 
     def close(self) -> None:
         self.closed = True
@@ -192,7 +200,7 @@ class Simulation:
         self,
         planner: Planner,
         world: NDArray[np.float32],
-        goal: ArrayLike | None = (30.0, 0.0, 2.0),
+        goal: ArrayLike | Mission | None = (30.0, 0.0, 2.0),
         *,
         plan_time: float = 0.04,
         state_delay: float = 0.0,

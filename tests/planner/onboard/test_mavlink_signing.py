@@ -45,7 +45,7 @@ class Autopilot:
     def heartbeat(self, mode: int = 0) -> bytes:
         return bytes(mavlink.MAVLink_heartbeat_message(2, 12, 129, mode, 4, 3).pack(self.protocol))
 
-    def send(self, data: bytes) -> None:
+    def send(self, data: bytes, address: object = None) -> None:
         self.socket.sendto(data, self.peer)
 
     def receive(self) -> list[str]:
