@@ -23,7 +23,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from aero_planner import VehicleState
 from aero_planner.cli_util import run_command
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded, pose_messages, sweep
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import Encoded, pose_messages, sweep
 from benchmarks.common import machine, run_program
 
 SWEEP_POINTS = 65_536

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import ODOMETRY
+from aero_planner.onboard.ros_definitions import ODOMETRY
 from aero_planner.quaternions import quaternion_of_matrix
 from aero_viz.live.stream import LiveMessage, Stream
 from aero_viz.recordings.clouds import read_cloud

@@ -21,7 +21,8 @@ from rosbags.typesys.store import Typestore
 from aero_planner.config import DroneConfig
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
-from aero_planner.onboard.ros_messages import DEFINITIONS, WORLD, goal_message, plan_messages
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import WORLD, goal_message, plan_messages
 from aero_planner.output_files import open_alone
 from aero_viz.errors import UserError
 from aero_viz.live.source import Tick

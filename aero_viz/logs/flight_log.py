@@ -17,7 +17,8 @@ from aero_planner import VehicleState
 from aero_planner.config.file import format_config
 from aero_planner.mailbox import Mailbox
 from aero_planner.mission_progress import MissionProgress
-from aero_planner.onboard.ros_messages import DEFINITIONS, Encoded
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import Encoded
 from aero_planner.output_files import open_alone
 from aero_viz.errors import UserError
 from aero_viz.logs.flight_messages import FlightMessages

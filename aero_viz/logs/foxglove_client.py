@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from aero_planner.onboard.ros_messages import DEFINITIONS
+from aero_planner.onboard.ros_definitions import DEFINITIONS
 from aero_planner.user_file import parse_json
 
 _WAITING_MAX = 16 << 20  # [bytes]

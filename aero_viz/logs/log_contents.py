@@ -27,7 +27,7 @@ from rosbags.typesys.store import Typestore
 
 from aero_planner.mission_progress import MissionProgress
 from aero_planner.missions import Mission
-from aero_planner.onboard.ros_messages import COSTS, COSTS_DEFINITION, PLAN, PLAN_DEFINITION
+from aero_planner.onboard.ros_definitions import COSTS, COSTS_DEFINITION, PLAN, PLAN_DEFINITION
 from aero_planner.plan import PlanStatus
 from aero_planner.user_file import open_user_file, parse_json
 from aero_viz.errors import UserError

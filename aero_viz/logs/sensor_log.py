@@ -16,15 +16,8 @@ from numpy.typing import NDArray
 
 from aero_planner import PlannerConfig
 from aero_planner.config import DroneConfig
-from aero_planner.onboard.ros_messages import (
-    BODY,
-    DEFINITIONS,
-    Encoded,
-    goal_message,
-    plan_messages,
-    pose_messages,
-    sweep,
-)
+from aero_planner.onboard.ros_definitions import DEFINITIONS
+from aero_planner.onboard.ros_messages import BODY, Encoded, goal_message, plan_messages, pose_messages, sweep
 from aero_planner.output_files import open_alone
 from aero_planner.pose_track import PoseTrack
 from aero_planner.quaternions import conjugate, multiply, rotate, rotation_vector, slerp

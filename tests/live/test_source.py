@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aero_planner.onboard.ros_messages import GOAL, goal_message, pose_messages
+from aero_planner.onboard.ros_definitions import GOAL
+from aero_planner.onboard.ros_messages import goal_message, pose_messages
 from aero_planner.plan import Goal, VehicleState
 from aero_viz.errors import UserError
 from aero_viz.live.setup import Wanted, find_setup

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from aero_planner import PlannerConfig
 from aero_planner.config.file import load_config
-from aero_planner.onboard.ros_messages import PLAN, PLAN_DEFINITION
+from aero_planner.onboard.ros_definitions import PLAN, PLAN_DEFINITION
 from aero_viz.cli import main
 from aero_viz.evaluation.score import load_trajectory, score
 from aero_viz.flight import FlightResult, FlightRules, VehicleModel, fly

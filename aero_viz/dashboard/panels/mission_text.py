@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from aero_planner.mission_progress import MissionProgress
 from aero_planner.missions import Mission, point
+from aero_planner.plain_yaml import load_yaml
 from aero_viz.dashboard.layers.mission import shown_waypoints
 from aero_viz.dashboard.panels import markup
 from aero_viz.errors import UserError
-from aero_viz.plain_yaml import load_yaml
 
 _STATES = {"passed": "passed", "stopped": "stopped", "given_up": "given up"}
 

@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from aero_planner import Planner, VehicleState
+from aero_planner.mission_progress import MissionProgress
 from aero_planner.onboard.failsafe_table import Reaction, State
 from aero_planner.onboard.interfaces import Observation, Observer, PointCounters, PointPacket, VehicleSample
 from aero_planner.onboard.node import Node
@@ -95,6 +96,7 @@ class StandingLink:
     def __init__(self) -> None:
         self.armed = self.offboard = False
         self.goal = np.array(GOAL)
+        self.offer = None
         self.dropped: dict[str, int] = {}
         self.ignored: dict[str, int] = {}
         self.commands = threading.Condition()
@@ -116,6 +118,9 @@ class StandingLink:
     def poll(self) -> None:
         if self.failing:
             raise RuntimeError("a defect of the control loop")
+
+    def report_mission(self, progress: MissionProgress | None) -> None:
+        pass
 
     def send(self, command: ArrayLike, attitude: ArrayLike | None = None) -> None:
         with self.commands:
