@@ -25,7 +25,7 @@ class Arrays:
     near_time: wp.array = array(wp.float64, "B", "s", "When it arrived.", kept="sweeps", initial=math.nan)
     near_count: wp.array = array(wp.int32, f"B {_SWEEPS}", "", "Near points of each sweep.", kept="sweeps")
     near_points: wp.array = array(wp.vec3, f"B {_SWEEPS} {_LISTED}", "m", "Near points of each sweep, world frame.")
-    near_grid: wp.array = array(wp.int32, f"B {_VOXELS}", "", "Support by each voxel around the drone.")
+    near_grid: wp.array = array(wp.int32, f"B 2 {_VOXELS}", "", "Support by each voxel around the drone.")
 
 
 def _remove(r: Recorder) -> list[list[Launches]]:

@@ -31,6 +31,8 @@ _FAR = wp.constant(2.0)
 _SUPPORT = wp.constant(26)
 """Least number of points in 3 x 3 x 3 voxels. Around a drone that hovers, 500 points of rain a sweep leave 9 there in
 two seconds, and a wire of 8 mm radius, a metre away, 59."""
+_SUPPORT_NOW = wp.constant(8)
+"""Least number of points there of the newest sweep alone, for a surface that moves. Rain leaves 0.5."""
 
 
 @wp.struct
@@ -41,7 +43,7 @@ class NearPoints:
     near_time: wp.array(dtype=wp.float64)  # [B], when this sweep arrived [s]
     near_count: wp.array2d(dtype=int)  # [B, SWEEPS], near points of each sweep
     near_points: wp.array3d(dtype=wp.vec3)  # [B, SWEEPS, LISTED], world frame [m]
-    near_grid: wp.array2d(dtype=int)  # [B, SIDE^3], support by each voxel
+    near_grid: wp.array3d(dtype=int)  # [B, 2, SIDE^3], support by each voxel: of all sweeps, of the newest one
 
 
 @wp.func
@@ -146,7 +148,9 @@ def count_voxels(
         voxel = voxel_of(near.near_points[b, slot, i], middle)
         cell = cell_of(voxel[0], voxel[1], voxel[2])
         if cell >= 0:
-            wp.atomic_add(near.near_grid, b, cell, 1)
+            wp.atomic_add(near.near_grid, b, 0, cell, 1)
+            if slot == near.near_slot[b]:
+                wp.atomic_add(near.near_grid, b, 1, cell, 1)
 
 
 @wp.kernel
@@ -173,7 +177,7 @@ def count_far(
             voxel = voxel_of(point, middle)
             cell = cell_of(voxel[0], voxel[1], voxel[2])
             if cell >= 0:
-                wp.atomic_add(near.near_grid, b, cell, _SUPPORT)
+                wp.atomic_add(near.near_grid, b, 0, cell, _SUPPORT)
 
 
 @wp.kernel
@@ -197,9 +201,11 @@ def remove_stray(
         if is_within(_NEAR, point, middle):
             voxel = voxel_of(point, middle)
             found = int(0)
+            found_now = int(0)
             for k in range(27):
                 cell = cell_of(voxel[0] + k // 9 - 1, voxel[1] + (k // 3) % 3 - 1, voxel[2] + k % 3 - 1)
                 if cell >= 0:
-                    found += near.near_grid[b, cell]
-            if found < _SUPPORT:
+                    found += near.near_grid[b, 0, cell]
+                    found_now += near.near_grid[b, 1, cell]
+            if found < _SUPPORT and found_now < _SUPPORT_NOW:
                 cloud.points[b, index] = wp.vec3(wp.NAN)

@@ -12,7 +12,7 @@ from aero_planner.sweeps import Arrival
 from tests.planner.stages.sequence import config_with
 
 Array = NDArray[Any]
-VOXEL, SIDE, NEAR, FAR, SUPPORT, SWEEPS = 0.04, 64, 1.25, 2.0, 26, 20
+VOXEL, SIDE, NEAR, FAR, SUPPORT, NOW, SWEEPS = 0.04, 64, 1.25, 2.0, 26, 8, 20
 
 
 def rain(rng: np.random.Generator, count: int, place: Array) -> Array:
@@ -56,16 +56,17 @@ def expected(sweeps: list[Array], positions: Array) -> Array:
         distance = np.linalg.norm(points - middle, axis=1)
         near = distance < NEAR
         lists.append(points[distance < FAR])
-        grid = np.zeros((SIDE + 2,) * 3, int)
-        for supporting, support in ((lists[-SWEEPS:], 1), (far, SUPPORT)):
+        grid = np.zeros((2, *(SIDE + 2,) * 3), int)
+        for k, supporting, support in ((0, lists[-SWEEPS:], 1), (0, far, SUPPORT), (1, lists[-1:], 1)):
             voxels = np.floor((np.concatenate(supporting) - middle) / VOXEL + SIDE / 2).astype(int)
             inside = ((voxels >= 0) & (voxels < SIDE)).all(axis=1)
-            np.add.at(grid, tuple(voxels[inside].T + 1), support)
+            np.add.at(grid[k], tuple(voxels[inside].T + 1), support)
         far.append(points[np.linalg.norm(points - position, axis=1) > FAR])
         own = np.floor((points - middle) / VOXEL + SIDE / 2).astype(int) + 1
         for point, voxel, is_near in zip(points, own, near, strict=True):
             x, y, z = voxel
-            if not is_near or grid[x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].sum() >= SUPPORT:
+            found, found_now = grid[:, x - 1 : x + 2, y - 1 : y + 2, z - 1 : z + 2].sum(axis=(1, 2, 3))
+            if not is_near or found >= SUPPORT or found_now >= NOW:
                 kept.append(point)
     return np.array(kept).reshape(-1, 3)
 
