@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aero_planner.config import PlannerConfig
 from aero_planner.parameters import did_you_mean
 
 Position = tuple[float, float, float]
@@ -79,6 +78,8 @@ class Waypoint:
         if not 0.0 <= self.hold <= (_HOLD_MAX if self.stop else 0.0):
             raise ValueError(f"hold is {self.hold:g}; it must be 0 to {_HOLD_MAX:g} s, and 0 without a stop.")
         if self.speed is not None:
+            from aero_planner.config import PlannerConfig  # not before a script has added its own stages and terms
+
             speed = PlannerConfig.find("vehicle.speed_limit").check(_number(self.speed, "speed"))
             object.__setattr__(self, "speed", float(speed))
 

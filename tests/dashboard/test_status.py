@@ -221,7 +221,7 @@ def test_the_legend_has_a_key_for_every_layer_that_is_shown(session, dashboard, 
 
 
 def test_every_layer_has_a_legend_case(dashboard):
-    without = {"recorded_path", "recorded_plan", "ghost", "alternative", "selection", "motion"}
+    without = {"recorded_path", "recorded_plan", "ghost", "alternative", "selection", "motion", "mission"}
     assert set(dashboard.layers) == {layer for layer, _ in LEGENDS} | without
 
 
