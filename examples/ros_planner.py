@@ -1,7 +1,4 @@
-"""Write your own planner as a node of ROS 2, which AERO-Viz knows only by its topics: it steers to where there is room.
-
-Start `aero-viz sim forest --ros --speed 3` first, and this in a second terminal.
-"""
+"""Steer to where there is room, as a node of ROS 2: start `aero-viz sim forest --ros --speed 3`, and this beside it."""
 
 import contextlib
 from collections import deque
