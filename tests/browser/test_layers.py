@@ -96,8 +96,8 @@ def test_clicks_on_a_switch_show_and_hide_its_layer(bare, name, color, least):
 def test_every_layer_of_a_flight_has_its_switch_tested(bare):
     desk, _ = bare
     layers = {name for name, layer in desk.dashboard.layers.items() if layer.available}
-    # Empty until something is selected (test_why.py), and where nothing moves.
-    assert {name for name, *_ in SWITCHED} == layers - {"selection", "motion"}
+    # Empty until something is selected (test_why.py), where nothing moves, and without a mission (test_mission.py).
+    assert {name for name, *_ in SWITCHED} == layers - {"selection", "motion", "mission"}
 
 
 def test_what_moves_is_drawn_where_it_is_predicted(browser):

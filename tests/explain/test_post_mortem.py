@@ -279,13 +279,16 @@ def test_a_flight_that_was_on_its_way_is_not_blamed_for_standing_still():
 @pytest.fixture(scope="module")
 def gusty(tmp_path_factory):
     """A flight that fails with an estimate that is off, and its log."""
-    log, trace = tmp_path_factory.mktemp("gusty") / "gusty.mcap", FlightTrace()
-    config = PlannerConfig().replace({"vehicle.speed_limit": 12.0})
+    config = PlannerConfig().replace({"vehicle.speed_limit": 15.0})
     vehicle = VehicleModel.from_config(config, drag=0.3, gust_speed=5.0, latency=0.1)
-    noise = StateNoise(position=0.15)
-    world = scene("verticals", count=1000, seed=0)
-    fly(world, config=config, vehicle=vehicle, noise=noise, recorder=recorder(trace, log))
-    return trace, log
+    noise, folder = StateNoise(position=0.15), tmp_path_factory.mktemp("gusty")
+    for seed in range(8):
+        log, trace = folder / f"gusty-{seed}.mcap", FlightTrace()
+        world = scene("verticals", count=1000, seed=seed)
+        result = fly(world, config=config, vehicle=vehicle, noise=noise, recorder=recorder(trace, log))
+        if result.reason == "collision":
+            return trace, log
+    pytest.fail("all flights arrive")
 
 
 def test_the_report_on_a_log_has_the_decisions_of_the_log_and_marks_what_is_computed_again(gusty):
