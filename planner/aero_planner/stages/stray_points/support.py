@@ -72,6 +72,15 @@ def cell_of(x: int, y: int, z: int) -> int:
 
 
 @wp.func
+def add_support(near: NearPoints, b: int, plane: int, point: wp.vec3, middle: wp.vec3, support: int):
+    """Add support to the voxel of a point, if that is in the grid."""
+    voxel = voxel_of(point, middle)
+    cell = cell_of(voxel[0], voxel[1], voxel[2])
+    if cell >= 0:
+        wp.atomic_add(near.near_grid, b, plane, cell, support)
+
+
+@wp.func
 def is_within(distance: float, point: wp.vec3, middle: wp.vec3) -> bool:
     """Return whether a point is nearer than a distance [m]; False for one that is not finite."""
     offset = point - middle
@@ -145,12 +154,10 @@ def count_voxels(
         return
     middle = middle_of_sweep(b, change[0], cloud)
     for i in range(thread, count, threads):
-        voxel = voxel_of(near.near_points[b, slot, i], middle)
-        cell = cell_of(voxel[0], voxel[1], voxel[2])
-        if cell >= 0:
-            wp.atomic_add(near.near_grid, b, 0, cell, 1)
-            if slot == near.near_slot[b]:
-                wp.atomic_add(near.near_grid, b, 1, cell, 1)
+        point = near.near_points[b, slot, i]
+        add_support(near, b, 0, point, middle, 1)
+        if slot == near.near_slot[b]:
+            add_support(near, b, 1, point, middle, 1)
 
 
 @wp.kernel
@@ -174,10 +181,7 @@ def count_far(
     for i in range(thread, cloud.count[b, sweep], threads):
         point = cloud.points[b, cloud.start[sweep] + i]
         if is_within(_NEAR, point, middle) and wp.length(point - cloud.origin[b, sweep]) > _FAR:
-            voxel = voxel_of(point, middle)
-            cell = cell_of(voxel[0], voxel[1], voxel[2])
-            if cell >= 0:
-                wp.atomic_add(near.near_grid, b, 0, cell, _SUPPORT)
+            add_support(near, b, 0, point, middle, _SUPPORT)
 
 
 @wp.kernel
