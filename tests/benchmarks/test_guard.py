@@ -10,7 +10,7 @@ SHORT = ["--points", "20000", "--samples", "32", "--repeat", "7"]
 
 
 def test_the_planner_is_faster_than_the_reference(device: str):
-    """A ratio below the bound is a slow-down on any machine; it was 446 on one thread of an Intel Xeon."""
+    """A ratio below the bound is a slow-down on any machine; it was 110 on one thread of an Intel Xeon."""
     bound = "50" if device == "cpu" else "1"
     assert main([*SHORT, "--device", device, "--bound", bound]) == 0
 

@@ -57,7 +57,10 @@ class PageOfDrone:
         state, planner = self._pilot.tuning.state, self._rig.node
         assert state.pending and state.version == version - 1 and planner.state is State.FLYING
         self.wait_for(lambda: "pending" in self.panel.report.content)
-        self._rig.run(0.2)
+        for _ in range(20):
+            self._rig.run(0.1)  # the message is on its way, and waits for a tick
+            if self._pilot.tuning.state.version == version:
+                break
         self._pilot.heard(f"version {version}")
         assert self._pilot.session.config.vehicle.speed_limit == limit
         self.wait_for(
