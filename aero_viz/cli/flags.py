@@ -309,8 +309,9 @@ class WorldFlags:
     goal: OptionalPoint = None
     """Goal position x y z [m]; by default the world's own, on a map a free place at most 45 m away."""
     waypoint: WaypointTexts = ()
-    """Place to pass within a radius [m] (1), or to stop at; the last is the goal. May be repeated. speed limits its leg
-    [m/s]; it is given up after timeout [s] (10) without coming nearer. For x < 0 write --waypoint=-5,0,2."""
+    """Place to pass within a radius [m] (1), or to stop at, for hold [s]; the last is the goal. May be repeated. speed
+    limits its leg [m/s]; it is given up after timeout [s] (10) without coming nearer. For x < 0 write
+    --waypoint=-5,0,2."""
     mission: OptionalPath = None
     """YAML file of such waypoints, or of recorded paths to follow, instead."""
     voxel: OptionalFloat = None

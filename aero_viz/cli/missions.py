@@ -11,13 +11,11 @@ import tyro
 from numpy.typing import ArrayLike
 
 from aero_planner.mission_file import read_mission
-from aero_planner.missions import Mission, Waypoint
+from aero_planner.missions import WAYPOINT_FORM, Mission, Waypoint
 from aero_viz.errors import UserError
 from aero_viz.scenes.world import World
 
-WaypointTexts = Annotated[
-    tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar="X,Y,Z[,radius=R][,stop][,speed=V][,timeout=T]")
-]
+WaypointTexts = Annotated[tuple[str, ...], tyro.conf.UseAppendAction, tyro.conf.arg(metavar=WAYPOINT_FORM)]
 _ROW_STEP = 0.1
 """Smallest time between two rows of a recorded path [s]."""
 

@@ -22,6 +22,8 @@ RADIUS = 1.0
 """Default of the radius of a waypoint [m]."""
 TIMEOUT = 10.0
 """Default of the time without coming nearer after which a waypoint is given up [s]."""
+WAYPOINT_FORM = "X,Y,Z[,radius=R][,stop][,hold=T][,speed=V][,timeout=T]"
+"""Form of a waypoint as text, see `Waypoint.parse`."""
 _COORDINATE_MAX = 1e8
 """Maps may have the coordinates of a whole country [m]."""
 _RADIUS_MAX = 100.0
@@ -107,12 +109,12 @@ class Waypoint:
 
     @classmethod
     def parse(cls, text: str) -> Waypoint:
-        """Return the waypoint of a text such as "10,0,2", "10,0,2,stop" or "10,0,2,radius=0.5,speed=3,timeout=20".
+        """Return the waypoint of a text such as "10,0,2", "10,0,2,stop,hold=5" or "10,0,2,radius=0.5,speed=3".
 
         Raises:
             ValueError: the text is malformed, or a value is out of range.
         """
-        form = "X,Y,Z[,radius=R][,stop][,speed=V][,timeout=T]"
+        named = ("radius", "hold", "speed", "timeout")
         words = [word.strip() for word in text.split(",")]
         values: dict[str, Any] = {}
         try:
@@ -121,16 +123,14 @@ class Waypoint:
             values["position"] = tuple(_parsed(word, "a coordinate") for word in words[:3])
             for word in words[3:]:
                 name, _, value = word.partition("=")
-                if name not in ("radius", "speed", "timeout") and word != "stop":
-                    raise ValueError(
-                        f"{word!r} is unknown{did_you_mean(name, ['radius', 'speed', 'timeout', 'stop'])}."
-                    )
+                if name not in named and word != "stop":
+                    raise ValueError(f"{word!r} is unknown{did_you_mean(name, [*named, 'stop'])}.")
                 if name in values:
                     raise ValueError(f"{name} is given twice.")
                 values[name] = True if word == "stop" else _parsed(value, name)
             return cls(**values)
         except ValueError as error:
-            raise ValueError(f"the waypoint {text!r} is not of the form {form}: {error}") from None
+            raise ValueError(f"the waypoint {text!r} is not of the form {WAYPOINT_FORM}: {error}") from None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, in the form of `from_dict`."""

@@ -187,6 +187,7 @@ def test_a_leg_along_a_path_is_not_given_up_while_the_goal_moves():
         ("10,0,2", {}),
         ("-10, 0.5, 2 ,radius=0.5,stop", {"radius": 0.5, "stop": True}),
         ("10,0,2,speed=3,timeout=20", {"speed": 3.0, "timeout": 20.0}),
+        ("10,0,2,hold=5,stop", {"stop": True, "hold": 5.0}),
     ],
 )
 def test_a_text_gives_a_waypoint(text: str, values: dict[str, Any]):
@@ -208,6 +209,7 @@ def test_a_text_gives_a_waypoint(text: str, values: dict[str, Any]):
         ("10,0,2,speed=fast", "speed is 'fast'; it must be a number"),
         ("10,0,2,speed=500", "vehicle.speed_limit is 500.0; it must be a number in [0.2, 50] m/s"),
         ("10,0,2,speed=2,speed=3", "speed is given twice"),
+        ("10,0,2,hold=5", "hold is 5; it must be 0 to 600 s, and 0 without a stop"),
     ],
 )
 def test_a_malformed_text_says_what_is_wrong(text: str, problem: str):
