@@ -15,7 +15,10 @@ from aero_viz.scenes import World
 Array = NDArray[np.float64]
 _ON_SURFACE = 0.3
 """Distance up to which a point of the cloud belongs to a solid of the world: noise and drift [m]."""
-_REFUSALS = {"stop_proof": "no stop that leaves it stays clear, in space that is seen"}
+_REFUSALS = {
+    "stop_proof": "no stop that leaves it stays clear, in space that is seen",
+    "moving_obstacles": "it flies along beside a moving obstacle and hardly comes nearer to the goal",
+}
 """Reason for which an instance may not be flown, by the stage that says so."""
 _AT_END = {
     "blocked_path": ": beyond its end, the way to the goal is blocked",

@@ -161,7 +161,8 @@ def moving(*, seed: int, count: int = 40, speed: tuple[float, float] = (0.5, 2.0
             pillars.append(pillar)
             motion.append([*rng.uniform(*speed) * direction, span])
     obstacles = [{"cylinders": np.reshape(pillars, (-1, 8))}]
-    return field_world(f"moving-{count}-{seed}", obstacles, ground=ground, motion=np.reshape(motion, (-1, 3)))
+    kind = "moving" if speed[1] <= 2.0 else "fast_moving"
+    return field_world(f"{kind}-{count}-{seed}", obstacles, ground=ground, motion=np.reshape(motion, (-1, 3)))
 
 
 @dataclass(frozen=True)
@@ -204,6 +205,7 @@ _SHIPPED: dict[str, SceneKind | str] = {
     "density": SceneKind("600 vertical cylinders, 1 to 6 m high, 0.4 to 1.1 m wide. Dense.", density),
     "density-6m": SceneKind("The cylinders of density, all 6 m high. Very dense.", partial(density, height=(6.0, 6.0))),
     "moving": SceneKind("40 pillars, 0.4 to 1.1 m wide, that move back and forth at 0.5 to 2 m/s.", moving),
+    "fast_moving": SceneKind("20 such pillars, at 0.5 to 6 m/s.", partial(moving, count=20, speed=(0.5, 6.0))),
     "wires": SceneKind(
         "60 taut wires, 16 to 40 mm thick, criss-cross at heights of 0.5 to 6 m.", obstacle_fields.wires
     ),

@@ -32,9 +32,9 @@ class PlugIn(NamedTuple):
 
 STAGES = {
     "unseen_space": "aero_planner.stages.unseen_space",
-    "moving_obstacles": "aero_planner.stages.moving_obstacles",
     "way_out": "aero_planner.stages.way_out",
     "stop_proof": "aero_planner.stages.stop_proof",
+    "moving_obstacles": "aero_planner.stages.moving_obstacles",
     "disturbance": "aero_planner.stages.disturbance",
     "memory": "aero_planner.stages.memory",
     "stray_points": "aero_planner.stages.stray_points",

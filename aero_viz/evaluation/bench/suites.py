@@ -280,25 +280,27 @@ def _sudden() -> Benchmark:
 
 
 def _moving() -> Benchmark:
+    kinds = [("moving", 20, "pillars"), ("moving", 40, "pillars"), ("moving", 60, "pillars")]
+    kinds.append(("fast_moving", 20, "fast pillars"))
     rows = [
         Row(
-            f"{count} pillars at {speed} m/s",
-            "moving",
+            f"{count} {pillars} at {speed} m/s",
+            scene,
             count,
             speed=float(speed),
             changes=_GROUND_KNOWN,
-            series=f"{count} pillars",
+            series=f"{count} {pillars}",
             x=float(speed),
         )
-        for count in (20, 40, 60)
+        for scene, count, pillars in kinds
         for speed in (1, 3, 5, 7)
     ]
     return Benchmark(
         "moving",
         "Moving obstacles",
-        "Pillars, 0.4 to 1.1 m wide, move back and forth over 5 to 15 m at 0.5 to 2 m/s, between and next to start "
-        "and goal. They do not yield, so that one may hit a drone at rest. The planner estimates their "
-        "motion, and knows the height of the ground.",
+        "Pillars, 0.4 to 1.1 m wide, move back and forth over 5 to 15 m at 0.5 to 2 m/s, fast ones at up to 6 m/s, "
+        "between and next to start and goal. They do not yield, so that one may hit a drone at rest. The planner "
+        "estimates their motion, and knows the height of the ground.",
         tuple(rows),
         x_label="velocity limit [m/s]",
     )

@@ -25,7 +25,7 @@ BIN_ANGLE = wp.constant(2.0 * 3.14159265 / 720.0)
 """Width of a bin [rad]."""
 TRACKS = wp.constant(32)
 """Largest number of segments of a sweep, and of dynamic obstacles."""
-_RANGE = wp.constant(10.0)
+_RANGE = wp.constant(20.0)
 """Range beyond which obstacles are treated as static [m]."""
 _WIDTH = wp.constant(1.6)
 """Width beyond which obstacles are treated as static [m]."""

@@ -15,7 +15,7 @@ from aero_planner.kernels.sweep_change import RECENT
 from aero_planner.plan import MovingObstacles
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Hooks, Launches, Stage
-from aero_planner.stages.moving_obstacles import segments, tracks
+from aero_planner.stages.moving_obstacles import giving_way, segments, tracks
 from aero_planner.stages.moving_obstacles.segments import BINS, BLOCK, TRACKS
 from aero_planner.stages.moving_obstacles.tracks import STARTS
 
@@ -95,7 +95,8 @@ def _track(r: Recorder) -> list[list[Launches]]:
 
 def _place(r: Recorder) -> list[list[Launches]]:
     inputs = [r.problem, r.params, _tracks(r)]
-    launch = r.record(tracks.place_obstacles, (r.sizes.B,), inputs=inputs, outputs=[r.view("moving_obstacles")])
+    obstacles = r.bind(tracks.DynamicObstacles, "moving_obstacles")
+    launch = r.record(tracks.place_obstacles, (r.sizes.B,), inputs=inputs, outputs=[obstacles])
     return [[[launch]]]
 
 
@@ -116,7 +117,7 @@ STAGE = Stage(
     arrays=Arrays,
     outputs=Outputs,
     reports={"moving": _moving},
-    view=tracks.DynamicObstacles,
-    hooks=Hooks(clearance=tracks.clear_of_obstacles),
+    view=giving_way.MovingObstacles,
+    hooks=Hooks(clearance=tracks.clear_of_obstacles, admissible=giving_way.gives_way),
     launches={"arrival": _track, "beside": _place},
 )

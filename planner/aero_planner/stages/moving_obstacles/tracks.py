@@ -30,7 +30,7 @@ LENGTH = wp.constant(6)
 """Sweeps through which an obstacle is followed back."""
 _SPEED_MIN = wp.constant(0.4)
 """Speed below which obstacles are treated as static [m/s]."""
-_SPEED_MAX = wp.constant(4.0)
+_SPEED_MAX = wp.constant(8.0)
 """Largest speed that is looked for [m/s]."""
 _GATE = wp.constant(0.25)
 """Distance from where a segment is expected, at most [m]."""

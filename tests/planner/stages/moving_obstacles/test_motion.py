@@ -24,6 +24,16 @@ def test_a_pillar_that_moves_is_found(device: str, velocity: tuple[float, float]
     assert abs(radii[0] - RADIUS) < 0.06
 
 
+@pytest.mark.parametrize(
+    ("place", "velocity"),
+    [((6.0, 0.5), (-5.0, 0.0)), ((5.0, 2.0), (0.0, 6.0)), ((9.0, -1.0), (-4.5, 5.5)), ((15.0, 1.0), (-6.0, 0.0))],
+)
+def test_a_fast_pillar_is_found_from_afar(device: str, place: tuple[float, float], velocity: tuple[float, float]):
+    sweeps = sweeps_of([(np.array(place), np.array(velocity))], np.array([5.0, 0.0, 0.0]))
+    _, velocities, _ = dynamic_obstacles(plan_from(Planner(config_of(), device=device), *sweeps))
+    np.testing.assert_allclose(velocities, [velocity], atol=0.3)
+
+
 def test_sweeps_of_a_fast_planner_show_the_motion(device: str):
     """A node that plans at 30 Hz makes a sweep of what it has received since the plan before."""
     planner, axis, velocity = Planner(config_of(), device=device), np.array([5.0, 1.0]), np.array([0.0, 0.8])
