@@ -146,7 +146,7 @@ def _controls(frame: Frame) -> Iterator[tuple[str, float]]:
 def _own_numbers(frame: Frame, best: int) -> Iterator[tuple[str, float]]:
     """Yield what a planner's own kind of plan adds to the minimal one."""
     count = None if ensemble(frame.plan) is not None else (len(frame.plan.kinds),)  # whose arrays are made when read
-    for name, value in vars(frame.plan).items():
+    for name, value in list(vars(frame.plan).items()):  # another thread may make an array meanwhile
         if name in _MINIMAL or not isinstance(value, (int, float, np.ndarray)):
             continue
         if np.ndim(value) == 0:

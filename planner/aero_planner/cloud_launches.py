@@ -44,9 +44,9 @@ def scan_points(r: Recorder) -> list[Chunk]:
     threads = r.tuning.threads_per_sweep(sizes.B * sweeps, points)
     return [
         _serial("partition", r.record(
-            partition.scatter_points(r.tuning),
+            partition.scatter_points(r.tuning, r.composition),
             (sizes.B, sweeps, threads),
-            inputs=[worker, threads * sizes.W, r.problem, r.sweeps, r.params, sizes.F0, sizes.F1],
+            inputs=[worker, threads * sizes.W, r.problem, r.sweeps, r.params, sizes.F0, sizes.F1, r.views],
             outputs=[w.cell_keys, w.worker_dropped],
         ))[0]
         for worker in range(sizes.W)

@@ -173,6 +173,19 @@ def _then_turn(first: Any, second: Any) -> Any:
 
 
 @wp.func
+def _no_ghost(b: int, x: wp.vec3, time: wp.float64, views: Any, c: Any) -> int:
+    return 0
+
+
+def _or_ghost(first: Any, second: Any) -> Any:
+    @wp.func
+    def either(b: int, x: wp.vec3, time: wp.float64, views: Any, c: Any) -> int:
+        return wp.max(first(b, x, time, views, c), second(b, x, time, views, c))
+
+    return either
+
+
+@wp.func
 def _same_clearance(d: float, x: wp.vec3, time: float, b: int, views: Any, c: Any) -> float:
     return d
 
@@ -215,6 +228,7 @@ _SAME: dict[str, wp.Function] = {
     "estimate": _same_estimate,
     "spread": _same_spread,
     "turn": _same_turn,
+    "ghost": _no_ghost,
     "clearance": _same_clearance,
     "admissible": _same_admissible,
     "fallback": _same_fallback,
@@ -223,6 +237,7 @@ _THEN = {
     "estimate": _then_estimate,
     "spread": _then_spread,
     "turn": _then_turn,
+    "ghost": _or_ghost,
     "clearance": _then_clearance,
     "admissible": _then_admissible,
     "fallback": _then_fallback,

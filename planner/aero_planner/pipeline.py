@@ -97,12 +97,12 @@ class _Stages:
         ]  # fmt: skip
         s.stages[RESET] = [self._serial("reset", reset_keys, w.worker_dropped.zero_)]
         if r.change is not None:
-            stamp, clean, arrive = stamp_sweep(r), self._flat("clean"), self._flat("arrival")
+            arrive = [stamp_sweep(r), *self._flat("arrival")]
             thin, order = thin_sweep(r), order_points(r)
-            s.stages[ARRIVAL] = [self._serial(ARRIVAL, stamp, *clean, *arrive, thin, *order)]
+            s.stages[ARRIVAL] = [self._serial(ARRIVAL, *arrive, thin, *order)]
             s.stages[PLAN_AND_ARRIVAL] = [
-                self._serial("partition", stamp, *clean),
-                self._serial("beside", *self._branch("beside", *arrive, *beside)),
+                self._serial("partition", *arrive),
+                self._serial("beside", *self._branch("beside", *beside)),
                 predict,
                 self._serial("partition", thin),
                 scan,

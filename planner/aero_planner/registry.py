@@ -34,10 +34,10 @@ STAGES = {
     "unseen_space": "aero_planner.stages.unseen_space",
     "way_out": "aero_planner.stages.way_out",
     "stop_proof": "aero_planner.stages.stop_proof",
-    "moving_obstacles": "aero_planner.stages.moving_obstacles",
     "disturbance": "aero_planner.stages.disturbance",
     "memory": "aero_planner.stages.memory",
     "stray_points": "aero_planner.stages.stray_points",
+    "moving_obstacles": "aero_planner.stages.moving_obstacles",
 }
 """Package of each stage, in the order in which stages act at one place of the pipeline. It has a module `stage`
 with `STAGE`, a `Stage`, and, if it has parameters, a module `parameters` with `Parameters`, a `ParameterSection` of the

@@ -24,6 +24,8 @@ class Hooks:
         spread: (b, s: Spread, views, c) -> Spread: the spacing of the anchors.
         turn: (rate, q, along, otherwise, views, c) -> float: the yaw rate [rad/s] with which a candidate turns that
             flies `along` (vec3, world frame) at the attitude q, where `otherwise` is the heading of the goal [rad].
+        ghost: (b, x, time, views, c) -> int: 1 if an obstacle has left the point x [m] since it was measured, at a
+            `time` (float64) [s], else 0.
         clearance: (d, x, time, b, views, c) -> the smaller of d [m] and the distance of x [m] from dynamic obstacles, a
             time [s] after the start of the plan.
         admissible: (b, m, is_admissible, views, c) -> int: whether instance m may be flown, 0 or 1.
@@ -33,6 +35,7 @@ class Hooks:
     estimate: Callable[..., Any] | None = None
     spread: Callable[..., Any] | None = None
     turn: Callable[..., Any] | None = None
+    ghost: Callable[..., Any] | None = None
     clearance: Callable[..., Any] | None = None
     admissible: Callable[..., Any] | None = None
     fallback: Callable[..., Any] | None = None
@@ -58,8 +61,7 @@ class Stage:
         terms: cost terms.
         stopping_rows: number of rows of candidates that it appends to those that stop.
         launches: by place of the pipeline, the function of a `Recorder` that records its launches there. The places:
-            "clean": a sweep arrives, before anything else reads it, to remove points of it;
-            "arrival": a sweep arrives, see `kernels.sweep_change`; beside everything up to the fine cells;
+            "arrival": a sweep arrives, see `kernels.sweep_change`, before a plan reads it;
             "start": after the state is predicted, before the anchors are placed;
             "beside": beside everything up to the first clearance query;
             "cells": after the fine cells are known, before the points are sorted into the grid;

@@ -11,6 +11,7 @@ import functools
 
 import warp as wp
 
+from aero_planner.composition import Composition
 from aero_planner.config.planner_config import COARSE_COLUMNS, COARSE_ROWS
 from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
@@ -69,8 +70,9 @@ OUT_OF_RANGE = wp.constant(-2)
 
 
 @functools.cache
-def scatter_points(tuning: KernelTuning) -> wp.Kernel:
+def scatter_points(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
     """Return the kernel that finds r_ij. Each thread handles `tuning.points_per_thread` points at once."""
+    Views, is_ghost = composition.Views, composition.hooks.ghost
     WIDTH = wp.constant(tuning.points_per_thread)
     # Those that are left of one group, and the next group.
     Reals = wp.types.vector(length=2 * tuning.points_per_thread, dtype=wp.float32)
@@ -89,6 +91,8 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         params: wp.array(dtype=Params),
         rows: int,
         columns: int,
+        # in
+        views: Views,
         # out
         cell_keys: wp.array3d(dtype=wp.uint64),
         worker_dropped: wp.array2d(dtype=int),
@@ -96,8 +100,9 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
         """Find r_ij by a maximum over packed keys.
 
         The upper half of a key is the range, the lower half the place of the point in the cloud, both inverted: of the
-        nearest points the first one has the largest key. Of an ordered sweep only the shells within reach are read. Of
-        others most points are out of range; they are skipped before the cells of WIDTH points are computed at once.
+        nearest points the first one has the largest key. Ghost points are left out. Of an ordered sweep only the shells
+        within reach are read. Of others most points are out of range; they are skipped before the cells of WIDTH points
+        are computed at once.
         Workers run at the same time, each on its own keys.
         Launched over [B, sweeps, threads per sweep]. A thread handles every `stride`-th group of WIDTH points.
         """
@@ -191,7 +196,9 @@ def scatter_points(tuning: KernelTuning) -> wp.Kernel:
                         # The bits of non-negative floats have the order of the floats.
                         key = ~((wp.uint64(wp.uint32(range_bits[j])) << wp.uint64(32)) | wp.uint64(place))
                         if key > read_key(cell_keys, worker, b, cell):
-                            wp.atomic_max(cell_keys, worker, b, cell, key)
+                            point = origin + wp.vec3(dx[j], dy[j], dz[j])
+                            if is_ghost(b, point, cloud.time[b, sweep], views, params[b]) == 0:
+                                wp.atomic_max(cell_keys, worker, b, cell, key)
                 waiting -= present
                 if wp.static(not tuning.is_cuda):
                     for j in range(waiting):

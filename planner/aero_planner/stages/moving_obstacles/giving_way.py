@@ -18,8 +18,13 @@ _PROGRESS = wp.constant(0.5)
 
 @wp.struct
 class MovingObstacles:
-    """What the hooks read: dynamic obstacles at the start of the plan, and the candidates."""
+    """What the hooks read: the tracks, dynamic obstacles at the start of the plan, and the candidates."""
 
+    track_time: wp.array(dtype=wp.float64)  # as in `tracks.Tracks`, like the next four
+    track_count: wp.array(dtype=int)
+    track_position: wp.array2d(dtype=wp.vec2)
+    track_velocity: wp.array2d(dtype=wp.vec2)
+    track_radius: wp.array2d(dtype=float)
     dynamic_count: wp.array(dtype=int)  # as in `tracks.DynamicObstacles`, like the next three
     dynamic_position: wp.array2d(dtype=wp.vec2)
     dynamic_velocity: wp.array2d(dtype=wp.vec2)

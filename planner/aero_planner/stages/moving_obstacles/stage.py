@@ -118,6 +118,6 @@ STAGE = Stage(
     outputs=Outputs,
     reports={"moving": _moving},
     view=giving_way.MovingObstacles,
-    hooks=Hooks(clearance=tracks.clear_of_obstacles, admissible=giving_way.gives_way),
+    hooks=Hooks(ghost=tracks.is_ghost, clearance=tracks.clear_of_obstacles, admissible=giving_way.gives_way),
     launches={"arrival": _track, "beside": _place},
 )

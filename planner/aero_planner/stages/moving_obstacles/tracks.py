@@ -36,6 +36,8 @@ _GATE = wp.constant(0.25)
 """Distance from where a segment is expected, at most [m]."""
 _SAME_RADIUS = wp.constant(0.2)
 """Difference between the radii of a segment in two sweeps, at most [m]."""
+_HALF_SWEEP = wp.constant(0.05)
+"""Half of the time that a sweep takes [s]."""
 _LEAST_MATCHES = wp.constant(3)
 """Older sweeps that show the segment, at least."""
 _RESIDUAL = wp.constant(0.07)
@@ -319,3 +321,25 @@ def clear_of_obstacles(d: float, x: wp.vec3, time: float, b: int, views: Any, c:
         gap = wp.length(offset) - views.moving_obstacles.dynamic_radius[b, i] - time * GROWTH
         d = wp.min(d, wp.max(gap, 0.0))
     return d
+
+
+@wp.func
+def is_ghost(b: int, x: wp.vec3, time: wp.float64, views: Any, c: Any) -> int:
+    """Return 1 if a track was where a point was measured, at the time of its sweep, and has left the place since.
+
+    The latest points stay: the track has hardly left where they are. See `Hooks.ghost`.
+    """
+    view = views.moving_obstacles
+    result = int(0)
+    if c.predict != 0:
+        since = float(view.track_time[b] - time)
+        for i in range(view.track_count[b]):
+            velocity = view.track_velocity[b, i]
+            speed = wp.length(velocity)
+            reach = view.track_radius[b, i] + _GATE
+            # False without a stamp.
+            if speed * since > 2.0 * reach:
+                axis = view.track_position[b, i] - (since + _HALF_SWEEP) * velocity
+                if wp.length(wp.vec2(x[0], x[1]) - axis) < reach + _HALF_SWEEP * speed:
+                    result = 1
+    return result

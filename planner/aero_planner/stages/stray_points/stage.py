@@ -43,4 +43,4 @@ def _remove(r: Recorder) -> list[list[Launches]]:
     ]]]  # fmt: skip
 
 
-STAGE = Stage(name=_NAME, label="Stray points", arrays=Arrays, launches={"clean": _remove})
+STAGE = Stage(name=_NAME, label="Stray points", arrays=Arrays, launches={"arrival": _remove})

@@ -89,6 +89,32 @@ def test_plans_start_after_the_delay(device: str):
     np.testing.assert_allclose(found[1][0] - found[0][0], 0.2 * found[0][1], atol=1e-5)
 
 
+@pytest.mark.parametrize("velocity", [(0.0, 3.0), (1.0, -5.0), (-2.0, 2.0)])
+@pytest.mark.parametrize("standing", [False, True])
+def test_points_of_places_that_a_pillar_has_left_are_forgotten(
+    device: str, velocity: tuple[float, float], standing: bool
+):
+    """A pillar that stands beside its way keeps its points."""
+    axis, moves = np.array([6.0, 1.0]), np.array(velocity)
+    left = axis - 0.75 * moves
+    normal = np.array([moves[1], -moves[0]]) / np.linalg.norm(moves)
+    beside = left - 1.2 * np.sign(normal @ left) * normal
+    pillars = [(axis, moves), *([(beside, np.zeros(2))] if standing else [])]
+    sweeps = sweeps_of(pillars, np.zeros(3), count=10)
+    places = {}
+    for predict in (True, False):
+        plan = plan_from(Planner(config_of(moving_obstacles__predict=predict), device=device), *sweeps)
+        places[predict] = plan.filtered_points[:, :2]
+
+    def near(place: Any, predict: bool) -> int:
+        return int(np.sum(np.linalg.norm(places[predict] - place, axis=1) < RADIUS + 0.1))
+
+    assert near(left, True) == 0
+    assert standing or near(left, False) > 5
+    assert near(axis, True) > 5, "the newest points stay"
+    assert near(beside, True) == near(beside, False) and (near(beside, True) > 5) == standing
+
+
 def test_nothing_moves_if_it_is_not_looked_for(device: str):
     planner = Planner(config_of(moving_obstacles__predict=False), device=device)
     sweeps, position = sweeps_of([(np.array([5.0, 1.0]), np.array([0.0, 1.0]))], np.zeros(3))
@@ -101,10 +127,11 @@ def test_old_sweeps_show_no_motion(device: str):
     assert len(dynamic_obstacles(plan_from(planner, sweeps, position, later=0.6))[0]) == 0
 
 
+@pytest.mark.parametrize("speed", [1.0, 4.0])
 @pytest.mark.parametrize(("count", "limit", "whole"), [(10, 30, None), (26, 20, 12)])
-def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: int, whole: int | None):
+def test_the_motion_depends_on_the_sweeps_alone(device: str, count: int, limit: int, whole: int | None, speed: float):
     """A planner that is given all sweeps at once plans as one that they reached one by one: a flight can be rewound."""
-    pillar = np.array([5.0, 1.0]), np.array([0.0, 1.0])
+    pillar = np.array([5.0, 1.0]), np.array([0.0, speed])
     sweeps, position = sweeps_of([pillar], np.array([3.0, 0.0, 0.4]), count=count)
     one_by_one, at_once = (Planner(config_of(), device=device, seed=1) for _ in range(2))
     part = Sweeps(whole=whole)
