@@ -46,6 +46,8 @@ _LEAST_DEVIATION = wp.constant(0.025)
 """Standard deviation of the position of a circle, at least [m]."""
 _SIGNIFICANCE = wp.constant(8.0)
 """Ratio of the speed to its standard deviation, at least: occluded edges make static obstacles creep."""
+_GHOST_SPEED = wp.constant(0.8)
+"""Part of the speed limit above which an obstacle leaves ghost points."""
 
 GROWTH = wp.constant(0.1)
 """Rate at which the radius of a predicted obstacle grows, since it changes its velocity [m/s]."""
@@ -327,7 +329,9 @@ def clear_of_obstacles(d: float, x: wp.vec3, time: float, b: int, views: Any, c:
 def is_ghost(b: int, x: wp.vec3, time: wp.float64, views: Any, c: Any) -> int:
     """Return 1 if a track was where a point was measured, at the time of its sweep, and has left the place since.
 
-    The latest points stay: the track has hardly left where they are. See `Hooks.ghost`.
+    The points that a fast obstacle leaves are a wall to a slow drone. Those of a slow one keep a fast drone away from
+    where it may turn back to, and stay. The latest points stay, too: the track has hardly left where they are. See
+    `Hooks.ghost`.
     """
     view = views.moving_obstacles
     result = int(0)
@@ -338,7 +342,7 @@ def is_ghost(b: int, x: wp.vec3, time: wp.float64, views: Any, c: Any) -> int:
             speed = wp.length(velocity)
             reach = view.track_radius[b, i] + _GATE
             # False without a stamp.
-            if speed * since > 2.0 * reach:
+            if speed > _GHOST_SPEED * c.speed_limit and speed * since > 2.0 * reach:
                 axis = view.track_position[b, i] - (since + _HALF_SWEEP) * velocity
                 if wp.length(wp.vec2(x[0], x[1]) - axis) < reach + _HALF_SWEEP * speed:
                     result = 1

@@ -94,7 +94,7 @@ def test_plans_start_after_the_delay(device: str):
 def test_points_of_places_that_a_pillar_has_left_are_forgotten(
     device: str, velocity: tuple[float, float], standing: bool
 ):
-    """A pillar that stands beside its way keeps its points."""
+    """A slow drone forgets them. A pillar that stands beside its way keeps its points."""
     axis, moves = np.array([6.0, 1.0]), np.array(velocity)
     left = axis - 0.75 * moves
     normal = np.array([moves[1], -moves[0]]) / np.linalg.norm(moves)
@@ -102,17 +102,17 @@ def test_points_of_places_that_a_pillar_has_left_are_forgotten(
     pillars = [(axis, moves), *([(beside, np.zeros(2))] if standing else [])]
     sweeps = sweeps_of(pillars, np.zeros(3), count=10)
     places = {}
-    for predict in (True, False):
-        plan = plan_from(Planner(config_of(moving_obstacles__predict=predict), device=device), *sweeps)
-        places[predict] = plan.filtered_points[:, :2]
+    for limit in (3.0, 7.0):
+        plan = plan_from(Planner(config_of(vehicle__speed_limit=limit), device=device), *sweeps)
+        places[limit] = plan.filtered_points[:, :2]
 
-    def near(place: Any, predict: bool) -> int:
-        return int(np.sum(np.linalg.norm(places[predict] - place, axis=1) < RADIUS + 0.1))
+    def near(place: Any, limit: float) -> int:
+        return int(np.sum(np.linalg.norm(places[limit] - place, axis=1) < RADIUS + 0.1))
 
-    assert near(left, True) == 0
-    assert standing or near(left, False) > 5
-    assert near(axis, True) > 5, "the newest points stay"
-    assert near(beside, True) == near(beside, False) and (near(beside, True) > 5) == standing
+    assert near(left, 3.0) == 0
+    assert standing or near(left, 7.0) > 5
+    assert near(axis, 3.0) > 5, "the newest points stay"
+    assert near(beside, 3.0) == near(beside, 7.0) and (near(beside, 3.0) > 5) == standing
 
 
 def test_nothing_moves_if_it_is_not_looked_for(device: str):
