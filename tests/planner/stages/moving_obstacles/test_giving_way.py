@@ -19,15 +19,14 @@ PILLAR = (np.array([0.5, -1.2]), np.array([0.0, 2.0]), 0.3)
 GOAL = np.array([20.0, 0.0, 2.0])
 
 
-@wp.struct
-class Views:
-    moving_obstacles: MovingObstacles
+_fields = {"__annotations__": {"moving_obstacles": MovingObstacles}, "__module__": __name__}
+Views: Any = wp.struct(type("Views", (), _fields))
 
 
 @wp.kernel
 def judge(admissible: int, views: Views, params: wp.array(dtype=Params), result: wp.array(dtype=int)):
-    m = wp.tid()
-    result[m] = gives_way(0, m, admissible, views, params[0])
+    b, m = wp.tid()
+    result[m] = gives_way(b, m, admissible, views, params[b])
 
 
 def judged(
@@ -38,7 +37,7 @@ def judged(
     positions = start + share * (ends[:, None] - start)
     padded = [(*obstacle,) for obstacle in obstacles] or [(np.zeros(2), np.zeros(2), 0.0)]
     places, velocities, radii = (np.array(values, np.float32)[None] for values in zip(*padded, strict=True))
-    views: Any = Views()
+    views = Views()
     views.moving_obstacles = bundle(
         MovingObstacles,
         dynamic_count=wp.array([len(obstacles)], dtype=int, device=device),
@@ -50,7 +49,7 @@ def judged(
     )
     params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
     result = wp.zeros(len(ends), dtype=int, device=device)
-    wp.launch(judge, len(ends), inputs=[admissible, views, params], outputs=[result], device=device)
+    wp.launch(judge, (1, len(ends)), inputs=[admissible, views, params], outputs=[result], device=device)
     return result.numpy() != 0
 
 
