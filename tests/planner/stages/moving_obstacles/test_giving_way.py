@@ -21,12 +21,13 @@ GOAL = np.array([20.0, 0.0, 2.0])
 
 _fields = {"__annotations__": {"moving_obstacles": MovingObstacles}, "__module__": __name__}
 Views: Any = wp.struct(type("Views", (), _fields))
+_judge: Any = gives_way
 
 
 @wp.kernel
 def judge(admissible: int, views: Views, params: wp.array(dtype=Params), result: wp.array(dtype=int)):
-    b, m = wp.tid()
-    result[m] = gives_way(b, m, admissible, views, params[b])
+    m = wp.tid()
+    result[m] = _judge(0, m, admissible, views, params[0])
 
 
 def judged(
@@ -49,7 +50,7 @@ def judged(
     )
     params = wp.array(np.array([pack(config_of())]), dtype=Params, device=device)
     result = wp.zeros(len(ends), dtype=int, device=device)
-    wp.launch(judge, (1, len(ends)), inputs=[admissible, views, params], outputs=[result], device=device)
+    wp.launch(judge, len(ends), inputs=[admissible, views, params], outputs=[result], device=device)
     return result.numpy() != 0
 
 
