@@ -135,3 +135,17 @@ except ImportError as error:
 """
     said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
     assert "lidar.source or state.source is ros" in said and "source /opt/ros" in said
+
+
+def test_beside_a_sensor_that_is_read_directly_the_stamps_must_be_of_this_computer(domain: int, start: Start):
+    config = OnboardConfig().replace({"state.source": "ros"})
+    with ros_inputs(config) as ros:
+        assert ros is not None and ros.points is None and ros.odometry is not None
+        start("tests.ros.lio")  # whose clock began with the sensor
+
+        def refused() -> str:
+            ros.odometry.place(None)
+            return " ".join(ros.odometry.dropped)
+
+        wait_until(refused)
+        assert "/Odometry with stamps of another clock than this computer's" in refused()

@@ -38,6 +38,8 @@ _FIT_TIME = 0.25
 """Time over which positions are fitted for the velocity [s]."""
 _FIT_MIN = 3
 """Smallest number of positions for it."""
+_DELAY_MAX = 1.0
+"""Longest delay of a message [s]: where a stamp is farther from the date, it is of another clock."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,18 +59,26 @@ class RosOdometry:
         mount: Position [m], [3], and attitude, w x y z, of the LiDAR in the body frame.
         stamps: Maps stamps to host time.
         clock: Host time [s].
+        date: This computer's date [s], of which the stamps must be, where no points have stamps of the same clock: its
+            delay could not be told from an offset between two clocks. None takes stamps of any clock.
 
     Attributes:
         dropped: Number of messages that could not be used, by reason.
     """
 
     def __init__(
-        self, settings: StateSettings, mount: tuple[Array, Array], stamps: HostClock, clock: Callable[[], float]
+        self,
+        settings: StateSettings,
+        mount: tuple[Array, Array],
+        stamps: HostClock,
+        clock: Callable[[], float],
+        *,
+        date: Callable[[], float] | None = None,
     ) -> None:
         self.dropped: dict[str, int] = {}
-        self._settings, self._mount, self._stamps, self._time = settings, mount, stamps, clock
+        self._settings, self._mount, self._stamps, self._time, self._date = settings, mount, stamps, clock, date
         self._turn = quaternion_from_angles(0.0, 0.0, settings.yaw)
-        self._waiting: deque[tuple[float, Any]] = deque(maxlen=_WAITING_MAX)
+        self._waiting: deque[tuple[float, float, Any]] = deque(maxlen=_WAITING_MAX)
         self._track: deque[tuple[float, Array]] = deque()
         """Times [s] and positions [m] of the last `_FIT_TIME`."""
         self._before: EstimatorState | None = None
@@ -77,14 +87,14 @@ class RosOdometry:
 
     def receive(self, message: Any) -> None:
         """Take a message, on any thread."""
-        self._waiting.append((self._time(), message))
+        arrival = self._time()
+        self._waiting.append((arrival, math.inf if self._date is None else arrival - self._date(), message))
 
     def place(self, sample: VehicleSample | None) -> VehicleSample | None:
         """Return the autopilot's sample with the newest state of the odometry; None before both have arrived."""
         while self._waiting:
-            arrival, message = self._waiting.popleft()
             try:
-                self._take(arrival, message, sample)
+                self._take(*self._waiting.popleft(), sample)
             except ValueError as error:
                 reason = f"{self._settings.topic} {error}"
                 self.dropped[reason] = self.dropped.get(reason, 0) + 1
@@ -99,10 +109,16 @@ class RosOdometry:
             velocity_std=measured.velocity_std,
         )
 
-    def _take(self, arrival: float, message: Any, sample: VehicleSample | None) -> None:
-        """Use a message; raises ValueError, which says what it is like, if it cannot be used."""
+    def _take(self, arrival: float, offset: float, message: Any, sample: VehicleSample | None) -> None:
+        """Use a message; raises ValueError, which says what it is like, if it cannot be used.
+
+        `offset` is that of host time from the date [s], infinite where stamps may be of any clock.
+        """
         header, pose, twist = message.header, message.pose, message.twist
-        time = self._stamps.to_host(header.stamp.sec + 1e-9 * header.stamp.nanosec, arrival)
+        stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
+        if math.isfinite(offset) and abs(arrival - offset - stamp) > _DELAY_MAX:
+            raise ValueError("with stamps of another clock than this computer's, which hides its delay")
+        time = self._stamps.to_host(stamp, arrival, max_offset=offset)
         if time is None:
             raise ValueError("with an inconsistent time stamp")
         q = pose.pose.orientation

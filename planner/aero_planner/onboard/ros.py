@@ -53,11 +53,13 @@ class RosInputs:
                 "(source /opt/ros/humble/setup.bash) and start the node with its version of Python."
             ) from error
         # Stamps of all topics are of the same clock. The odometry is computed from the points, so its own delay is
-        # never zero: only with the offset that the points show does it fit to them.
+        # never zero: only with the offset that the points show does it fit to them. Without, the date shows it.
         stamps = HostClock()
         lidar, state = config.lidar, config.state
         self.points = RosPoints(stamps, clock, lidar.keep_uncertain) if lidar.source == "ros" else None
-        self.odometry = RosOdometry(state, lidar_mount(config), stamps, clock) if state.source == "ros" else None
+        date = time.time if self.points is None else None
+        is_wanted = state.source == "ros"
+        self.odometry = RosOdometry(state, lidar_mount(config), stamps, clock, date=date) if is_wanted else None
         self._inputs = RosNode(self._context, "aero_planner")
         self._nodes = [self._inputs]
         if self.odometry is not None:

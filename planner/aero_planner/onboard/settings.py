@@ -93,8 +93,9 @@ class StateSettings(ParameterSection, section="state"):
         "state.topic, which the autopilot fuses, too.", live=False,
     )  # fmt: skip
     topic: str = text(
-        "/Odometry", TOPIC, "the name of a topic, such as /Odometry", "Topic of ROS 2 with nav_msgs/Odometry."
-    )
+        "/Odometry", TOPIC, "the name of a topic, such as /Odometry", "Topic of ROS 2 with nav_msgs/Odometry. Its "
+        "stamps are of the clock of lidar.topic or, with lidar.source: livox, of this computer's date.",
+    )  # fmt: skip
     pose: str = choice(
         "sensor", ("sensor", "body"), "What the pose is of: sensor, the LiDAR as mounted, as FAST-LIO2's; body.",
         live=False,

@@ -14,22 +14,23 @@ from aero_planner.onboard.odometry import RosOdometry
 from aero_planner.onboard.settings import StateSettings
 from aero_planner.plan import VehicleState
 from aero_planner.quaternions import quaternion_from_angles, rotate
-from tests.planner.onboard.ros_driver import LEVEL, odometry_message
+from tests.planner.onboard.ros_driver import AHEAD, LEVEL, odometry_message
 
 
 class Flight:
     """An odometry, and the samples of an autopilot."""
 
-    def __init__(self, *, mount: Any = LEVEL, **settings: Any) -> None:
-        self.time = 10.0
-        self.odometry = RosOdometry(StateSettings(**settings), mount, HostClock(), lambda: self.time)
+    def __init__(self, *, mount: Any = LEVEL, ahead: float | None = None, delay: float = 0.0, **settings: Any) -> None:
+        self.time, self.delay = 10.0, delay
+        date = None if ahead is None else lambda: self.time + ahead
+        self.odometry = RosOdometry(StateSettings(**settings), mount, HostClock(), lambda: self.time, date=date)
 
     def step(
         self, position: Any, *, period: float = 0.1, own: Any = None, own_attitude: Any = LEVEL[1], **of: Any
     ) -> Any:
         """Let a message arrive, and return the autopilot's sample with its state."""
         self.time += period
-        self.odometry.receive(odometry_message(self.time, position, **of))
+        self.odometry.receive(odometry_message(self.time - self.delay, position, **of))
         place = np.asarray(position if own is None else own)
         state = VehicleState(place, np.zeros(3), own_attitude, time=self.time)
         sample = VehicleSample(self.time, state, True, True, self.time, in_air=True, position_std=7.0)
@@ -128,3 +129,18 @@ def test_stamps_count_by_the_clock_of_this_computer():
     flight.time += 0.3
     later = flight.odometry.place(sample)
     assert later is not None and later.time == pytest.approx(flight.time - 0.3)
+
+
+@pytest.mark.parametrize(("ahead", "age"), [(None, 0.0), (AHEAD, 0.04)])
+def test_the_date_shows_a_delay_that_an_offset_of_clocks_hides(ahead: float | None, age: float):
+    flight = Flight(ahead=ahead, delay=0.04)
+    sample = [flight.step([0, 0, 1]) for _ in range(4)][-1]
+    assert flight.time - sample.time == pytest.approx(age)
+
+
+def test_stamps_of_another_clock_are_refused_where_the_date_is_needed():
+    flight = Flight(ahead=AHEAD + 5.0)
+    assert [flight.step([0, 0, 1]) for _ in range(4)][-1] is None
+    assert list(flight.odometry.dropped) == [
+        "/Odometry with stamps of another clock than this computer's, which hides its delay"
+    ]
