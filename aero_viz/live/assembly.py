@@ -20,8 +20,9 @@ from aero_viz.live.stream import LiveMessage, Stream
 from aero_viz.recordings.clouds import read_cloud
 from aero_viz.recordings.point_cloud2 import decode_points
 from aero_viz.recordings.pose_messages import TRANSFORM_STAMPED, StampedPose, decode_poses
+from aero_viz.recordings.poses import MIN_DIFFERENCE_TIME, POSE_TOLERANCE
 from aero_viz.recordings.ros_messages import TF_TYPES, DamagedMessage
-from aero_viz.recordings.source import MAX_POINTS
+from aero_viz.recordings.source import MAX_POINTS, MAX_POSE_SPACING
 from aero_viz.recordings.transforms import IDENTITY, Transform
 
 Array = NDArray[np.float64]
@@ -30,12 +31,6 @@ _POSES = 2048
 """Poses that are kept: 20 s at 100 Hz."""
 _WAIT = 0.3
 """Longest time for which a sweep waits for the pose at its end [s]."""
-_MAX_GAP = 0.2
-"""Longest time between two poses that is interpolated during a sweep [s], as for recordings."""
-_LEAD = 0.1
-"""Longest time for which the state is extrapolated at constant velocity, as for recordings [s]."""
-_DIFFERENCE = 0.05
-"""Least time over which a velocity is computed from positions [s]."""
 _SET_CLOCK = 1.0
 """Step of the stamps, beyond that of the arrivals, from which a clock was set [s]."""
 _WAITING_MAX = 32
@@ -135,9 +130,9 @@ class Assembler:
             if cloud.frame not in setup.other_frames:
                 health.refuse(f"no static transform joins its frame {cloud.frame!r} and {setup.cloud_frame!r}")
                 return
-            points = _moved(points, setup.other_frames[cloud.frame])
+            points = setup.other_frames[cloud.frame].move(points)
         if not setup.in_world and setup.extrinsic is not IDENTITY:
-            points = _moved(points, setup.extrinsic)
+            points = setup.extrinsic.move(points)
         times = None if decoded.times is None or setup.in_world else time + decoded.times.astype(np.float64)
         if setup.mask is not None and not setup.in_world:
             kept = ~((points >= setup.mask[0]) & (points <= setup.mask[1])).all(axis=1)
@@ -205,9 +200,9 @@ class Assembler:
             self._velocity = rotate(quaternion, twist)
 
     def _difference(self, time: float, position: Array) -> Array:
-        """Return the mean velocity since a pose that is at least `_DIFFERENCE` older [m/s], world frame."""
+        """Return the mean velocity since a pose that is at least `MIN_DIFFERENCE_TIME` older [m/s], world frame."""
         times = self._track.times
-        before = int(np.searchsorted(times, time - _DIFFERENCE, side="right")) - 1
+        before = int(np.searchsorted(times, time - MIN_DIFFERENCE_TIME, side="right")) - 1
         before = max(before, 0)
         step = time - float(times[before])
         return (position - self._track.positions[before]) / step if step > 1e-6 else np.zeros(3)
@@ -243,7 +238,7 @@ class Assembler:
         else:
             age = max(now - self._pose_arrival, 0) * 1e-9
             time = self._track.newest_time + age
-            position = self._track.positions[-1] + min(age, _LEAD) * self._velocity
+            position = self._track.positions[-1] + min(age, POSE_TOLERANCE) * self._velocity
             state = VehicleState(position, self._velocity.copy(), self._track.quaternions[-1].copy(), time=time)
         return Inputs(time, state, self._sweeps, max(time - newest.end, 0.0), newest.stamp)
 
@@ -284,15 +279,11 @@ class Assembler:
         track = self._track
         if self.setup.poses is None or self.setup.in_world:
             return sweep.points
-        if not len(track) or sweep.end < track.times[0] - _LEAD or sweep.time > track.newest_time + _WAIT:
+        if not len(track) or sweep.end < track.times[0] - POSE_TOLERANCE or sweep.time > track.newest_time + _WAIT:
             return None
         if sweep.times is not None and len(sweep.times):
-            points, known = track.deskew(sweep.points, sweep.times, max_gap=_MAX_GAP)
+            points, known = track.deskew(sweep.points, sweep.times, max_gap=MAX_POSE_SPACING)
             if 2 * np.count_nonzero(known) > len(known):
                 return points[known]
         position, quaternion = track.interpolate(sweep.time)
         return sweep.points @ rotation_matrix(quaternion).T.astype(np.float32) + position.astype(np.float32)
-
-
-def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
-    return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)

@@ -18,7 +18,8 @@ POSE_TOLERANCE = 0.1
 """Time before and after a pose for which it can be extrapolated [s]: one sweep of a 10 Hz LiDAR."""
 
 _MIN_LONGEST_GAP = 1.0
-_MIN_DIFFERENCE_TIME = 0.05
+MIN_DIFFERENCE_TIME = 0.05
+"""Least time over which a velocity is computed from positions [s]."""
 
 Array = NDArray[np.float64]
 
@@ -170,7 +171,7 @@ def position_differences(times: Array, positions: Array) -> Array:
     """
     if len(times) < 2:
         return np.zeros_like(positions)
-    half = max(float(np.median(np.diff(times))), _MIN_DIFFERENCE_TIME)
+    half = max(float(np.median(np.diff(times))), MIN_DIFFERENCE_TIME)
     early, late = np.maximum(times - half, times[0]), np.minimum(times + half, times[-1])
     moved = [np.interp(late, times, axis) - np.interp(early, times, axis) for axis in positions.T]
     return np.stack(moved, axis=1) / np.maximum(late - early, 1e-9)[:, None]

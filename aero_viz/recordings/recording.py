@@ -316,11 +316,11 @@ class Recording:
         self._prefetch(index + 1)
         points, times = decoded.points, decoded.times
         if entry.frame in self.other_frames:
-            points = _moved(points, self.other_frames[entry.frame])
+            points = self.other_frames[entry.frame].move(points)
         if pose is not None:  # whoever moved the points to the world corrected their motion
             points, times = (points @ rotation_matrix(pose.quaternion)).astype(np.float32), None
         if self.extrinsic is not IDENTITY:
-            points = _moved(points, self.extrinsic)
+            points = self.extrinsic.move(points)
         if self._mask is not None:
             kept = ~((points >= self._mask[0]) & (points <= self._mask[1])).all(axis=1)
             points, times = points[kept], None if times is None else times[kept]
@@ -341,11 +341,6 @@ class Recording:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _moved(points: NDArray[np.float32], pose: Transform) -> NDArray[np.float32]:
-    """Return points [P, 3] of a frame whose pose in another one is `pose` in that other frame."""
-    return points @ rotation_matrix(pose.quaternion).astype(np.float32).T + pose.position.astype(np.float32)
 
 
 def _format_ranges(indices: Iterable[int]) -> str:

@@ -24,7 +24,8 @@ MAX_POINTS = 200_000
 
 _PATH_SPACING = 0.2
 _MIN_PATH_LEFT = 1.0
-_MAX_POSE_SPACING = 0.2
+MAX_POSE_SPACING = 0.2
+"""Longest time between two poses that is interpolated during a sweep [s]."""
 
 
 class RecordedPath:
@@ -239,7 +240,7 @@ class RecordingSource:
             return sweep.points
         if sweep.point_times is not None:
             times = sweep.time + sweep.point_times.astype(np.float64)
-            if poses.widest_spacing(float(times.min()), float(times.max())) <= _MAX_POSE_SPACING:
+            if poses.widest_spacing(float(times.min()), float(times.max())) <= MAX_POSE_SPACING:
                 points, _ = poses.track.deskew(sweep.points, times)
                 return points
         pose = poses.interpolate(sweep.time)

@@ -25,6 +25,10 @@ class Transform(NamedTuple):
     quaternion: NDArray[np.float64]
     """[.., 4] w, x, y, z."""
 
+    def move(self, points: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return points in the frame [m], [P, 3], in the other one."""
+        return points @ rotation_matrix(self.quaternion).astype(np.float32).T + self.position.astype(np.float32)
+
 
 IDENTITY = Transform(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
