@@ -301,7 +301,7 @@ def serve(
             except KeyboardInterrupt:
                 return  # also while kernels are compiled
             shutdown = shutdown_event()
-            serve_others(stack, session, page_flags)
+            is_watched = serve_others(stack, session, page_flags)
             watch(session)
             session.start(play=False)
 
@@ -330,9 +330,8 @@ def serve(
                 study=shown_study,
             )
             stack.callback(dashboard.close)
-            if not page_flags.paused:
-                play_when_drawn(session, dashboard)
-        wait_for(shutdown)
+            start = (lambda: None) if page_flags.paused else play_when_drawn(session, dashboard)
+        wait_for(shutdown, lambda: start() if is_watched() else None)
 
 
 def _open_session(

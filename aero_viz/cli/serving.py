@@ -7,7 +7,7 @@ import dataclasses
 import signal
 import threading
 import webbrowser
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -155,28 +155,35 @@ def shutdown_event() -> threading.Event:
     return event
 
 
-def wait_for(event: threading.Event) -> None:
-    """Wait until the event is set.
+def wait_for(event: threading.Event, meanwhile: Callable[[], object] = lambda: None) -> None:
+    """Wait until the event is set, and call `meanwhile` twice a second.
 
     Python handles a signal when the main thread runs again, which may be never if the signal arrives just before a wait
     without a timeout.
     """
     while not event.wait(0.5):
-        pass
+        meanwhile()
 
 
-def serve_others(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> None:
-    """Serve the session for Foxglove and publish it in ROS 2 until the stack closes, as the flags say."""
+def serve_others(stack: contextlib.ExitStack, session: BaseSession, page_flags: PageFlags) -> Callable[[], bool]:
+    """Serve the session for Foxglove and publish it in ROS 2 until the stack closes, as the flags say.
+
+    Returns:
+        A function that returns True if one of them has a subscriber.
+    """
+    watched: list[Callable[[], bool]] = []
     port = page_flags.foxglove_port
     if port is not None:
         from aero_viz.logs import serve_foxglove as serve
 
         server = stack.enter_context(serve(session, page_flags.host, port, **page_flags.foxglove_options))
         announce_foxglove(server.url)
+        watched.append(server.is_watched)
     if page_flags.ros_out:
         from aero_viz.ros.publishing import publish_session
 
-        stack.enter_context(publish_session(session))
+        watched.append(stack.enter_context(publish_session(session)).is_watched)
+    return lambda: any(is_watched() for is_watched in watched)
 
 
 def announce_foxglove(url: str) -> None:
@@ -196,10 +203,13 @@ def announce(subject: str, server: LocalServer, page_flags: PageFlags) -> None:
         webbrowser.open(server.link())
 
 
-def play_when_drawn(session: Session, dashboard: Dashboard) -> None:
+def play_when_drawn(session: Session, dashboard: Dashboard) -> Callable[[], None]:
     """Start playback when the first page shows everything, so that nobody misses the start.
 
     A visitor who has begun to play or to step meanwhile goes on from there.
+
+    Returns:
+        A function that starts playback now, unless a page has been opened.
     """
     from aero_viz.dashboard.viser_private import wait_until_drawn
 
@@ -216,4 +226,9 @@ def play_when_drawn(session: Session, dashboard: Dashboard) -> None:
             if tick() == first:
                 session.play()
 
+    def start_without_page() -> None:
+        if is_first.acquire(blocking=False):
+            session.play()
+
     dashboard.server.on_client_connect(start_playback)
+    return start_without_page

@@ -52,6 +52,11 @@ class FoxgloveClient:
         self._put(json.dumps(greeting))
         self.advertise(channels.values())
 
+    @property
+    def is_watching(self) -> bool:
+        """True if the client subscribes to a topic."""
+        return bool(self._subscriptions)
+
     async def run(self) -> None:
         """Serve the client until it leaves."""
         sender = asyncio.create_task(self._send())

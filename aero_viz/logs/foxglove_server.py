@@ -95,6 +95,10 @@ class FoxgloveServer:
         """Send the pose of the drone between two frames; see `FlightMessages.encode_pose`."""
         self._send(self._messages.encode_pose(time, state))
 
+    def is_watched(self) -> bool:
+        """Return True if a client subscribes to a topic."""
+        return any(client.is_watching for client in tuple(self._clients))
+
     def close(self) -> None:
         """Disconnect all clients."""
         asyncio.run_coroutine_threadsafe(self._close(), self._loop).result()

@@ -73,6 +73,10 @@ class FramePublisher:
         for encoded, _ in self._messages.encode_pose(time, state):
             self._send(encoded)
 
+    def is_watched(self) -> bool:
+        """Return True if somebody subscribes to a topic."""
+        return any(publisher.get_subscription_count() for publisher in tuple(self._publishers.values()) if publisher)
+
     def close(self) -> None:
         """Wait until all messages have arrived, for two seconds at most."""
         from rclpy.duration import Duration

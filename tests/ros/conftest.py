@@ -9,8 +9,11 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from aero_viz.ros.graph import Graph
 
@@ -68,3 +71,10 @@ def wait_until(condition: Callable[[], object], *, timeout: float = 30.0) -> Non
     while not condition():
         assert time.monotonic() < deadline, f"waited {timeout:g} s"
         time.sleep(0.02)
+
+
+def points_of(cloud: Any) -> NDArray[np.float32]:
+    """Return the points of a sensor_msgs/PointCloud2 that has no field but of four bytes [m], [P, 3]."""
+    rows = np.frombuffer(cloud.data, np.float32).reshape(-1, cloud.point_step // 4)
+    assert [(field.name, field.offset) for field in cloud.fields[:3]] == [("x", 0), ("y", 4), ("z", 8)]
+    return rows[:, :3]

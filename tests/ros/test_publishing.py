@@ -20,6 +20,7 @@ from straight import StraightConfig
 from aero_viz.ros.messages import diagnostics
 from aero_viz.ros.publishing import publish_session
 from aero_viz.session import Session
+from tests.live.test_command import RECORDING
 from tests.ros.conftest import Start, wait_until
 from tests.session.test_drone_tuning import Drone, Pilot
 
@@ -175,6 +176,12 @@ def test_a_flight_without_a_page_is_published_and_stays_the_same(
     assert {**published, "plan_ms_median": 0} == {**plain, "plan_ms_median": 0} and found.keys() == TOPICS
 
 
-def test_without_ros_the_flag_says_what_to_install(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize(
+    "command", [("fly", "forest"), ("demo",), ("play", RECORDING), ("live", "--pcap-replay", RECORDING)]
+)
+def test_without_ros_the_flag_says_what_to_install(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+):
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    assert "'.[ros]'" in run_refused(capsys, "fly", "forest", "--ros-out")
+    said = run_refused(capsys, *command, "--ros-out")
+    assert "'.[ros]'" in said and said.count("\n") <= 1
