@@ -4,6 +4,7 @@ import importlib
 import socket
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -173,9 +174,11 @@ def write_ulog(
     return path
 
 
-def livox_imu_packet(stamp: int) -> bytes:
-    """Return a packet of the IMU as in Livox's protocol: it turns at 0.1, 0.2, 0.3 rad/s, and 1 g points upwards."""
-    checked = struct.pack("<Q6f", stamp, 0.1, 0.2, 0.3, 0.0, 0.0, 1.0)
+def livox_imu_packet(
+    stamp: int, rates: Sequence[float] = (0.1, 0.2, 0.3), forces: Sequence[float] = (0.0, 0.0, 1.0)
+) -> bytes:
+    """Return a packet of the IMU as in Livox's protocol, with angular velocities [rad/s] and specific forces [g]."""
+    checked = struct.pack("<Q6f", stamp, *rates, *forces)
     return struct.pack("<BHHHHBBB12xI", 0, 60, 0, 1, 0, 0, 0, 0, zlib.crc32(checked)) + checked
 
 

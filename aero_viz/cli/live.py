@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from aero_viz.live.odometry import OnlineOdometry
     from aero_viz.live.setup import Setup, Wanted
+    from aero_viz.live.source import StreamSource
     from aero_viz.live.stream import Stream
     from aero_viz.ros.feed import Feed
     from aero_viz.ros.graph import Topic
@@ -77,7 +78,8 @@ def live(
         extrinsic: Position [m] and roll, pitch, yaw [deg] of the sensor in the body's frame, instead of those of TF.
         mask: Leave out the points in a box in the body's frame, from its lower to its upper corner [m].
         imu: Topic of the IMU for rko-lio. By default it is found.
-        livox: Address of a Livox Mid-360 that sends to this computer, such as 192.168.1.142; without ROS.
+        livox: Address of a Livox Mid-360 that sends to this computer, such as 192.168.1.142, or
+            192.168.1.142:PORT if it sends its points to another port than 56301; without ROS.
         pcap_replay: Capture of packets, or recording of ROS 2, that is replayed at real speed; without ROS.
         domain: Domain of ROS 2, instead of that of ROS_DOMAIN_ID.
         rate: Plans per second, by default as many as the node makes.
@@ -107,6 +109,8 @@ def live(
         raise UserError(f"--points is a topic, such as /points, not {points!r}.")
     if odometry is not None and method is None and not odometry.startswith("/"):
         raise UserError(f"--odometry is a topic, such as /Odometry, or {' or '.join(_ODOMETRIES)}, not {odometry!r}.")
+    if imu is not None and (method != "rko-lio" or not imu.startswith("/")):
+        raise UserError(f"--imu is a topic, such as /livox/imu, for --odometry rko-lio, not {imu!r} for {odometry}.")
     place, goal_topic = _goal(goal)
     check_output_files(record, overwrite=overwrite, inputs=[pcap_replay or "", config_flags.config])
     config = config_flags.load()
@@ -139,7 +143,10 @@ def live(
             from aero_viz.live.session import StreamSession
             from aero_viz.live.source import StreamSource
 
-        source = StreamSource(stream, setup, rate=rate, goal=place, goal_topic=goal_topic, kept=keep)
+        options: dict[str, Any] = {"rate": rate, "goal": place, "goal_topic": goal_topic, "kept": keep}
+        source = _when_ready(lambda: StreamSource(stream, setup, **options), shutdown)
+        if source is None:
+            return
         session = StreamSession(source, config=config, device=device, seed=seed)
         stack.callback(session.close)
         if record is not None:
@@ -179,9 +186,9 @@ class _GraphReport:
     """The topics of the graph."""
 
     def __init__(self, topics: list[Topic]) -> None:
-        from aero_viz.ros.feed import readable_type
+        from aero_viz.ros.feed import missing_package, readable_type
 
-        self._rows = [(topic, readable_type(topic)) for topic in topics]
+        self._rows = [(topic, readable_type(topic), missing_package(topic)) for topic in topics]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the topics as plain values for JSON."""
@@ -193,7 +200,7 @@ class _GraphReport:
                     "publishers": topic.publishers,
                     "readable": kind is not None,
                 }
-                for topic, kind in self._rows
+                for topic, kind, _ in self._rows
             ]
         }
 
@@ -201,10 +208,10 @@ class _GraphReport:
         """Return the topics as text."""
         if not self._rows:
             return "no topics: check ROS_DOMAIN_ID, and that the drivers run on this network"
-        rows = [
-            ["", topic.name, ", ".join(topic.types), str(topic.publishers), "<- can be read" if kind else ""]
-            for topic, kind in self._rows
-        ]
+        rows = []
+        for topic, kind, package in self._rows:
+            note = "<- can be read" if kind else f"<- needs {package}: source its workspace" if package else ""
+            rows.append(["", topic.name, ", ".join(topic.types), str(topic.publishers), note])
         return format_table(rows, right=[3])
 
 
@@ -253,7 +260,7 @@ def _understand(
         from aero_viz.live.odometry import OnlineOdometry
 
         wanted = dataclasses.replace(wanted, points=clouds.points)
-        estimated = OnlineOdometry(stream, method, points=clouds.points, imu=imu)
+        estimated = OnlineOdometry(stream, method, points=clouds.points, imu=imu, mount=wanted.mount)
         stack.callback(estimated.close)
 
     def is_complete(setup: Setup) -> bool:
@@ -293,12 +300,26 @@ def _find(
             setup = find_setup(stream, wanted)
         except UserError as error:
             if is_late:
-                advice = missing() or f"{error} Is the driver running?"
+                silent = [name for name, health in stream.topics.items() if not health.count]
+                advice = missing() or (f"Nothing arrives on {', '.join(silent)}." if silent else str(error))
                 raise UserError(f"{advice} Listened for {_DISCOVERY + _LISTENING:.0f} s.") from error
         else:
             if is_late or is_complete(setup):
                 return setup
         _wait(lambda: shutdown.is_set(), 5 * _POLL)
+    return None
+
+
+def _when_ready(open_source: Callable[[], StreamSource], shutdown: threading.Event) -> StreamSource | None:
+    """Return the source once a sweep has its pose; None if the program is to end. UserError if that takes too long."""
+    deadline = time.monotonic() + _DISCOVERY
+    while not shutdown.is_set():
+        try:
+            return open_source()
+        except UserError:
+            if time.monotonic() > deadline:
+                raise
+        _wait(lambda: shutdown.is_set(), _POLL)
     return None
 
 
@@ -339,20 +360,24 @@ def _choose_candidates(
     _wait(found, _DISCOVERY)
     _wait(lambda: shutdown.is_set(), 10 * _POLL)  # for what is found a little later
     say(_GraphReport(feed.graph.topics()).format_table())
-    _goal_type(feed, goal_topic)  # says at once if it is of no use
+    candidates = feed.candidates()
+    if not any(kind in CLOUD_TYPES for kind in candidates.values()) and not shutdown.is_set():
+        raise UserError(
+            f"ROS 2 has no topic of clouds that can be read in domain {feed.graph.domain}: start the driver, check "
+            "ROS_DOMAIN_ID, or list the topics with: aero-viz live --list"
+        )
+    # What is of no use is said at once.
+    _goal_type(feed, goal_topic)
+    for name, role in ((wanted.points, "points"), (None if method else wanted.odometry, "pose"), (imu, "IMU")):
+        if name is not None and not shutdown.is_set():
+            feed.check(name, role)
     chosen: dict[str, str] = {}
-    for name, kind in feed.candidates().items():
+    for name, kind in candidates.items():
         is_cloud = kind in CLOUD_TYPES and wanted.points in (None, name)
         is_pose = kind in POSE_TYPES and wanted.odometry in (None, name) and name not in (_GOAL_TOPIC, goal_topic)
         is_imu = kind == IMU_TYPE and method == "rko-lio" and imu in (None, name)
         if is_cloud or is_pose or is_imu or kind in (*TF_TYPES, CAMERA_INFO):
             chosen[name] = kind
-    if not any(kind in CLOUD_TYPES for kind in chosen.values()) and not shutdown.is_set():
-        asked = "no topic of clouds that can be read" if wanted.points is None else f"no clouds on {wanted.points}"
-        raise UserError(
-            f"ROS 2 has {asked} in domain {feed.graph.domain}: start the driver, check ROS_DOMAIN_ID, or list the "
-            "topics with: aero-viz live --list"
-        )
     feed.use(chosen)
 
 

@@ -25,6 +25,9 @@ _SWEEP = 0.1
 _POLL = 0.005
 """Time between two looks at the sockets [s]."""
 _DATAGRAM = 2048
+_PORT, _PORT_MAX, _IMU_AFTER = 56301, 65535, 100
+"""Port of this computer to which a sensor sends points unless it is configured otherwise, the largest one, and how much
+higher that for the IMU is."""
 
 
 class LivoxFeed:
@@ -32,21 +35,28 @@ class LivoxFeed:
 
     Args:
         stream: takes clouds, and samples of the sensor's IMU.
-        sensor: address of the sensor; None takes any.
-        port, imu_port: UDP ports of this computer; 0 selects free ones.
+        sensor: address of the sensor, and behind a colon the port of this computer to which it sends points, if that is
+            not 56301; 0 takes free ones. None takes any sensor. The port for its IMU is higher by 100.
 
     Raises:
-        UserError: the port is in use, by another driver for example, or the sensor's name has no address.
+        UserError: there is no such port, it is in use, by another driver for example, or the sensor's name has no
+            address.
     """
 
-    def __init__(self, stream: Stream, sensor: str | None, *, port: int = 56301, imu_port: int = 56401) -> None:
+    def __init__(self, stream: Stream, sensor: str | None) -> None:
         self._stream = stream
+        self._stamps = HostClock()  # of points and IMU, so that they fit each other
+        host, _, number = (sensor or "").partition(":")
+        number = number or str(_PORT)
+        if not (number.isdecimal() and int(number) <= _PORT_MAX - _IMU_AFTER):
+            raise UserError(f"--livox takes an address, and a port up to {_PORT_MAX - _IMU_AFTER}, not {sensor}.")
+        port = int(number)
         try:
-            self._address = None if sensor is None else socket.gethostbyname(sensor)
+            self._address = None if sensor is None else socket.gethostbyname(host)
         except OSError as error:
             raise UserError(f"The Livox {sensor} has no address: {error.strerror}; give its number.") from error
         try:
-            self._source = LivoxSource(port, sensor=self._address, clock=lambda: 1e-9 * stream.clock.now())
+            self._source = LivoxSource(port, sensor=self._address, clock=self._now, stamps=self._stamps)
         except OSError as error:
             raise UserError(
                 f"The packets of the Livox at {sensor} cannot be received on port {port}: {error.strerror or error}; "
@@ -55,8 +65,7 @@ class LivoxFeed:
         self._imu = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._imu.setblocking(False)
         with contextlib.suppress(OSError):  # without the IMU, the points are still of use
-            self._imu.bind(("0.0.0.0", imu_port))
-        self._imu_clock = HostClock()
+            self._imu.bind(("0.0.0.0", port and port + _IMU_AFTER))
         self._points: list[tuple[NDArray[np.float32], NDArray[np.float64]]] = []
         self._closed = threading.Event()
         self._thread = threading.Thread(target=self._run, name="aero-viz-livox", daemon=True)
@@ -67,13 +76,16 @@ class LivoxFeed:
         """UDP ports of the points and of the IMU."""
         return self._source.port, self._imu.getsockname()[1]
 
+    def _now(self) -> float:
+        return 1e-9 * self._stream.clock.now()
+
     def _run(self) -> None:
         while not self._closed.wait(_POLL):
             for packet in self._source.poll():
                 if len(packet.points):
                     self._points.append((packet.points, packet.times))
+            self._send_imu()  # first: odometry needs the samples of a sweep with it
             self._send_sweep()
-            self._send_imu()
 
     def _send_sweep(self) -> None:
         """Add a cloud once the points of a period have arrived."""
@@ -95,7 +107,7 @@ class LivoxFeed:
             sample = parse_imu(data)
             if sample is None or self._address not in (None, address[0]):
                 continue
-            stamp = self._imu_clock.to_host(1e-9 * sample[0], 1e-9 * self._stream.clock.now())
+            stamp = self._stamps.to_host(1e-9 * sample[0], self._now())
             if stamp is not None:
                 values = sample[1]
                 forces = [GRAVITY * value for value in values[3:]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from collections.abc import Callable
 
@@ -12,13 +13,13 @@ from aero_planner.onboard.ros_definitions import ODOMETRY
 from aero_planner.quaternions import quaternion_of_matrix
 from aero_viz.live.stream import LiveMessage, Stream
 from aero_viz.recordings.clouds import read_cloud
-from aero_viz.recordings.imu import ImuSamples
-from aero_viz.recordings.imu_messages import GRAVITY, IMU_TYPE
+from aero_viz.recordings.imu import ImuSamples, unit_of
+from aero_viz.recordings.imu_messages import IMU_TYPE
 from aero_viz.recordings.odometry import KissIcp, RkoLio, level_of, time_in_sweep
 from aero_viz.recordings.point_cloud2 import decode_points
 from aero_viz.recordings.recording import PointSweep
 from aero_viz.recordings.ros_messages import DamagedMessage, decode_message, encode_message, message_type
-from aero_viz.recordings.transforms import IDENTITY
+from aero_viz.recordings.transforms import IDENTITY, Transform
 
 TOPIC = "/aero_viz/odometry"
 """Topic of the estimated poses."""
@@ -27,6 +28,10 @@ _LATE = 3
 """Clouds that may wait: where the registration is slower than the sensor, the oldest are left out, and counted."""
 _SAMPLES = 20_000
 """Samples of the IMU that may wait for a cloud: a minute of most."""
+_IMU_DELAY = 0.2
+"""Longest time for which a cloud waits for the samples of the IMU until its end [s]."""
+_Sample = tuple[int, tuple[float, ...], tuple[float, ...]]
+"""Stamp [ns], specific force and angular velocity of a sample of the IMU."""
 
 
 class OnlineOdometry:
@@ -37,6 +42,7 @@ class OnlineOdometry:
         method: "kiss-icp" or "rko-lio", which needs an IMU and a time per point.
         points: topic of the clouds.
         imu: topic of the IMU; None is the first one. The sensor and its IMU are taken for one.
+        mount: pose of both in the body's frame; the poses are those of the body.
 
     Attributes:
         missing: what the registration waits for, as a sentence; empty if for nothing.
@@ -45,14 +51,18 @@ class OnlineOdometry:
         UserError: the library is not installed.
     """
 
-    def __init__(self, stream: Stream, method: str, *, points: str, imu: str | None = None) -> None:
-        self._stream, self._method = stream, method
+    def __init__(
+        self, stream: Stream, method: str, *, points: str, imu: str | None = None, mount: Transform = IDENTITY
+    ) -> None:
+        self._stream, self._method, self._mount = stream, method, mount
         self._points, self._imu = points, imu
         self.missing = ""
         self._register: KissIcp | RkoLio | None = None
         if method == "kiss-icp":
             self._register = KissIcp(np.eye(4))
-        self._samples: deque[tuple[int, tuple[float, ...], tuple[float, ...]]] = deque(maxlen=_SAMPLES)
+        self._samples: deque[_Sample] = deque(maxlen=_SAMPLES)
+        self._newest_sample = 0
+        self._force_unit = 1.0
         self._last = -np.inf
         self._start: int | None = None
         self._clouds: Mailbox[LiveMessage] = Mailbox(self._take, capacity=_LATE, name="aero-viz-odometry")
@@ -84,8 +94,13 @@ class OnlineOdometry:
             self._stream.topics[message.topic].refuse(str(error))
             return
         force, rate, stamp = sample.linear_acceleration, sample.angular_velocity, sample.header.stamp
-        values = (force.x, force.y, force.z), (rate.x, rate.y, rate.z)
-        self._samples.append((stamp.sec * 10**9 + stamp.nanosec or message.time, *values))
+        values = (force.x, force.y, force.z, rate.x, rate.y, rate.z)
+        at = stamp.sec * 10**9 + stamp.nanosec or message.time
+        if not np.isfinite(values).all() or at <= self._newest_sample:
+            self._stream.topics[message.topic].refuse("it is not finite, or not later than the one before")
+            return
+        self._newest_sample = at
+        self._samples.append((at, values[:3], values[3:]))
 
     def _take(self, message: LiveMessage) -> None:
         try:
@@ -97,20 +112,27 @@ class OnlineOdometry:
         if not len(decoded.points):
             return
         self._start = self._start or stamp
-        sweep = PointSweep((stamp - self._start) * 1e-9, decoded.points, decoded.times, decoded.dropped)
-        register = self._register or self._make_rko(sweep)
+        points = self._mount.move(decoded.points)
+        sweep = PointSweep((stamp - self._start) * 1e-9, points, decoded.times, decoded.dropped)
+        register = self._register or self._make_rko(sweep, stamp)
         if register is None:
             return
         if isinstance(register, RkoLio):
-            register.add_imu(_as_samples([self._samples.popleft() for _ in range(len(self._samples))]))
+            self._wait_for_samples(self._start + round(1e9 * time_in_sweep(sweep, 1.0)))
+            register.add_imu(self._as_samples([self._samples.popleft() for _ in range(len(self._samples))]))
         matrix = register(sweep)
-        time = time_in_sweep(sweep, register.posed_at)
-        if matrix is None or not np.isfinite(matrix).all() or time <= self._last:
+        posed = time_in_sweep(sweep, register.posed_at)
+        if matrix is None or not np.isfinite(matrix).all() or posed <= self._last:
             return
-        self._last = time
-        self._stream.add(TOPIC, ODOMETRY, _encode(matrix, self._start + round(1e9 * time), cloud.frame))
+        self._last = posed
+        self._stream.add(TOPIC, ODOMETRY, _encode(matrix, self._start + round(1e9 * posed), cloud.frame))
 
-    def _make_rko(self, sweep: PointSweep) -> RkoLio | None:
+    def _wait_for_samples(self, end: int) -> None:
+        deadline = time.monotonic() + _IMU_DELAY
+        while self._newest_sample < end and time.monotonic() < deadline:
+            time.sleep(0.002)
+
+    def _make_rko(self, sweep: PointSweep, stamp: int) -> RkoLio | None:
         """Return the registration, None while there is no IMU or no time per point."""
         assert self._start is not None
         if sweep.point_times is None:
@@ -120,9 +142,16 @@ class OnlineOdometry:
             self.missing = f"rko-lio needs an IMU, and nothing arrives from {self._imu or 'any'}: take kiss-icp."
             return None
         self.missing = ""
-        level = level_of(_as_samples(list(self._samples)), IDENTITY, self._start)
-        self._register = register = RkoLio(None, IDENTITY, level, self._start)
+        samples = list(self._samples)
+        self._force_unit = unit_of(np.array([force for _, force, _ in samples]))
+        level = level_of(self._as_samples(samples), self._mount, stamp)
+        self._register = register = RkoLio(None, self._mount, level, self._start)
         return register
+
+    def _as_samples(self, samples: list[_Sample]) -> ImuSamples:
+        times, forces, rates = zip(*samples, strict=True) if samples else ((), (), ())
+        vectors = (np.array(values, np.float64).reshape(-1, 3) for values in (forces, rates))
+        return ImuSamples("", "", np.array(times, np.int64), self._force_unit * next(vectors), next(vectors))
 
     def close(self) -> None:
         """Stop."""
@@ -130,27 +159,18 @@ class OnlineOdometry:
         self._clouds.close()
 
 
-def _as_samples(samples: list[tuple[int, tuple[float, ...], tuple[float, ...]]]) -> ImuSamples:
-    times = np.array([time for time, _, _ in samples], np.int64)
-    forces = np.array([force for _, force, _ in samples], np.float64).reshape(-1, 3)
-    rates = np.array([rate for _, _, rate in samples], np.float64).reshape(-1, 3)
-    if len(forces) and np.median(np.linalg.norm(forces, axis=1)) < 0.3 * GRAVITY:
-        forces = forces * GRAVITY  # in g, as Livox's driver writes it
-    return ImuSamples("", "", times, forces, rates)
-
-
 def _encode(matrix: np.ndarray, stamp: int, body: str) -> bytes:
     """Return a pose [4, 4] as Odometry; its velocity is not set."""
     w, x, y, z = (float(value) for value in quaternion_of_matrix(matrix[:3, :3]))
     vector, none = message_type("geometry_msgs/msg/Vector3"), np.zeros(36)
     zero = vector(0.0, 0.0, 0.0)
-    time = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
+    at = message_type("builtin_interfaces/msg/Time")(sec=stamp // 10**9, nanosec=stamp % 10**9)
     pose = message_type("geometry_msgs/msg/Pose")(
         message_type("geometry_msgs/msg/Point")(*(float(value) for value in matrix[:3, 3])),
         message_type("geometry_msgs/msg/Quaternion")(x, y, z, w),
     )
     message = message_type(ODOMETRY)(
-        header=message_type("std_msgs/msg/Header")(stamp=time, frame_id=_WORLD),
+        header=message_type("std_msgs/msg/Header")(stamp=at, frame_id=_WORLD),
         child_frame_id=body,
         pose=message_type("geometry_msgs/msg/PoseWithCovariance")(pose, none),
         twist=message_type("geometry_msgs/msg/TwistWithCovariance")(

@@ -16,11 +16,11 @@ from aero_viz.recordings.contents import read_contents
 from aero_viz.recordings.depth_image import Intrinsics
 from aero_viz.recordings.finding import Finding
 from aero_viz.recordings.findings import Measured, check_twists, find_faults, measure
-from aero_viz.recordings.opening import configure_recording
+from aero_viz.recordings.opening import check_mask, configure_recording, pose_of
 from aero_viz.recordings.recording import Recording
 from aero_viz.recordings.ros_messages import TF_TYPES
 from aero_viz.recordings.topics import require_topics
-from aero_viz.recordings.transforms import Transform, TransformTree
+from aero_viz.recordings.transforms import IDENTITY, Transform, TransformTree
 
 _FAR = 1000.0
 """Distance of the first pose from the origin beyond which positions are counted from it [m]: float32 keeps less than a
@@ -29,7 +29,11 @@ millimetre farther out."""
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the user has settled about a stream; None is found."""
+    """What the user has settled about a stream; None is found.
+
+    Raises:
+        UserError: the pose of the sensor or the box is none.
+    """
 
     points: str | None = None
     """Topic of the clouds."""
@@ -41,6 +45,16 @@ class Wanted:
     """Box in the body's frame whose points are left out, see `Recording.mask`."""
     frame: CloudFrame = "auto"
     """What the clouds move with."""
+
+    def __post_init__(self) -> None:
+        _ = self.mount
+        if self.mask is not None:
+            check_mask(self.mask)
+
+    @property
+    def mount(self) -> Transform:
+        """Pose of the sensor in the body's frame, as far as it is settled."""
+        return IDENTITY if self.extrinsic is None else pose_of(self.extrinsic, "--extrinsic")
 
 
 @dataclass(frozen=True, eq=False)

@@ -58,7 +58,10 @@ def read_imu(files: list[BagFile]) -> ImuSamples | None:
     values = values[valid][index]
     if not len(times):
         return None
-    forces = values[:, :3]
-    if np.median(np.linalg.norm(forces, axis=1)) < _LARGEST_IN_G:
-        forces = forces * GRAVITY
+    forces = unit_of(values[:, :3]) * values[:, :3]
     return ImuSamples(topic, frames[topic], times, forces, values[:, 3:])
+
+
+def unit_of(forces: NDArray[np.float64]) -> float:
+    """Return the unit of specific forces, [n, 3], of a body that is mostly near rest [m/s^2]."""
+    return GRAVITY if np.median(np.linalg.norm(forces, axis=1)) < _LARGEST_IN_G else 1.0

@@ -102,11 +102,9 @@ def configure_recording(
 ) -> None:
     """Apply the options of `open_recording` to a recording, and use the poses of a file next to its clouds."""
     if extrinsic is not None:
-        recording.mount(_pose(extrinsic, "--extrinsic"))
+        recording.mount(pose_of(extrinsic, "--extrinsic"))
     if mask is not None:
-        lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
-        if not all(low < high for low, high in zip(lower, upper, strict=True)):
-            raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}.")
+        check_mask(mask)
         recording.mask(mask)
     if poses is None and odometry in ("none", "auto") and recording.poses is None:
         poses = storage.pose_file
@@ -133,7 +131,15 @@ def configure_recording(
             recording.problems.append(f"{found.evidence}: {found.advice}")
 
 
-def _pose(values: Sequence[float], flag: str) -> Transform:
+def check_mask(mask: Sequence[float]) -> None:
+    """Raise UserError if --mask is not the lower corner of a box and then the upper one [m], [6]."""
+    lower, upper = np.reshape(_checked(mask, "--mask", "the corners of a box [m]"), (2, 3)).tolist()
+    if not all(low < high for low, high in zip(lower, upper, strict=True)):
+        raise UserError(f"--mask takes the lower corner of a box before the upper one, not {lower} before {upper}.")
+
+
+def pose_of(values: Sequence[float], flag: str) -> Transform:
+    """Return the pose that a flag gives as x, y, z [m], roll, pitch, yaw [deg]; UserError if these are no pose."""
     x, y, z, roll, pitch, yaw = _checked(values, flag, "x y z [m] roll pitch yaw [deg]")
     return Transform(np.array([x, y, z]), quaternion_from_angles(roll, pitch, yaw))
 
@@ -182,7 +188,7 @@ def motion_in_map(
 
     first, known = IDENTITY, recording.poses
     if start is not None:
-        first = _pose(start, "--map-start")
+        first = pose_of(start, "--map-start")
     elif known is not None:
         pose = known.interpolate(recording.sweep_times[0])
         first = Transform(pose.position + known.offset, pose.quaternion)

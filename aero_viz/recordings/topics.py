@@ -14,6 +14,7 @@ from aero_viz.errors import UserError
 from aero_viz.recordings.clouds import CLOUD_TYPES
 from aero_viz.recordings.contents import CloudEntry, Contents, TopicContents
 from aero_viz.recordings.depth_image import IMAGE
+from aero_viz.recordings.imu_messages import IMU_TYPE
 from aero_viz.recordings.other_clouds import LASER_SCAN
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.poses import SPEED_MAX, RecordedPoses
@@ -23,7 +24,11 @@ from aero_viz.recordings.velodyne_scan import VELODYNE_SCAN
 
 Array = NDArray[np.float64]
 
-_ROLES = {"points": (CLOUD_TYPES, "not a point cloud"), "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses")}
+_ROLES = {
+    "points": (CLOUD_TYPES, "not a point cloud"),
+    "pose": ((*POSE_TYPES, *TF_TYPES), "which holds no poses"),
+    "IMU": ((IMU_TYPE,), "which holds no angular velocities"),
+}
 """Types of messages that fit each role of a topic, and the complaint about any other type."""
 
 _UNREAD = {
@@ -214,7 +219,8 @@ def choose_poses(
 def suggest_other_clouds(contents: Contents, topic: TopicContents) -> str:
     """Return advice, to be appended to an error, for a topic whose clouds cannot be used."""
     alternatives = [candidate for candidate in contents.topics_with(CLOUD_TYPES) if candidate is not topic]
-    return _suggest(alternatives) or ": check that the driver publishes the sensor's points there"
+    names = [topic.name for topic in alternatives]
+    return _suggest(names) or ": check that the driver publishes the sensor's points there"
 
 
 def _pose_tracks(contents: Contents, frame: str, name: str | None) -> list[_Track]:
@@ -326,21 +332,38 @@ def _without_outliers(
 
 def _find_topic(contents: Contents, name: str, role: str) -> TopicContents:
     """Return the named topic. Raises UserError if it does not exist or does not fit the role."""
-    types, mismatch = _ROLES[role]
-    suitable = contents.topics_with(types)
+    types, _ = _ROLES[role]
     found = [topic for topic in contents.topics if topic.name == name]
-    if not found:
-        close = difflib.get_close_matches(name, [topic.name for topic in suitable], n=3, cutoff=0.4)
+    present = [(topic.name, topic.type) for topic in (*contents.topics_with(types), *found)]
+    check_topic(name, role, present, str(contents.path))
+    return max(found, key=lambda topic: (topic.type in types, topic.count))
+
+
+def check_topic(name: str, role: str, present: Sequence[tuple[str, str]], place: str) -> None:
+    """Check that a topic exists and is of the right type.
+
+    Args:
+        name: the topic.
+        role: "points", "pose" or "IMU".
+        present: the topics to choose from and their types, the preferred ones first.
+        place: where they are, for the error.
+
+    Raises:
+        UserError: it is not.
+    """
+    types, mismatch = _ROLES[role]
+    suitable = [topic for topic, kind in present if kind in types]
+    kinds = [kind for topic, kind in present if topic == name]
+    if not kinds:
+        close = difflib.get_close_matches(name, suitable, n=3, cutoff=0.4)
         advice = f"; did you mean {' or '.join(close)}?" if close else f"{_suggest(suitable) or ', nor any other'}."
-        raise UserError(f"{contents.path} has no {role} topic {name}{advice}")
-    topic = max(found, key=lambda topic: (topic.type in types, topic.count))
-    if topic.type not in types:
-        raise UserError(f"{name} of {contents.path} is a {topic.type}, {mismatch}{_suggest(suitable)}.")
-    return topic
+        raise UserError(f"{place} has no {role} topic {name}{advice}")
+    if name not in suitable:
+        raise UserError(f"{name} of {place} is a {kinds[0]}, {mismatch}{_suggest(suitable)}.")
 
 
-def _suggest(topics: Sequence[TopicContents]) -> str:
-    return f"; choose {_join([topic.name for topic in topics], ' or ')}" if topics else ""
+def _suggest(names: list[str]) -> str:
+    return f"; choose {_join(names, ' or ')}" if names else ""
 
 
 def _join(names: list[str], separator: str) -> str:

@@ -16,6 +16,7 @@ from aero_viz.recordings.depth_image import CAMERA_INFO
 from aero_viz.recordings.imu_messages import IMU_TYPE
 from aero_viz.recordings.pose_messages import POSE_TYPES
 from aero_viz.recordings.ros_messages import TF_TYPES
+from aero_viz.recordings.topics import check_topic
 from aero_viz.ros.graph import Graph, Quality, Topic, message_class
 
 _log = logging.getLogger(__name__)
@@ -64,6 +65,11 @@ class Feed:
             if (kind := readable_type(topic)) is not None:
                 found[topic.name] = kind
         return found
+
+    def check(self, name: str, role: str) -> None:
+        """Raise UserError if a topic is not published, or not in a type for its role; see `check_topic`."""
+        present = [(topic.name, kind) for topic in self.graph.topics() for kind in topic.types]
+        check_topic(name, role, present, self._stream.name)
 
     @property
     def topics(self) -> dict[str, str]:
@@ -148,3 +154,9 @@ def readable_type(topic: Topic) -> str | None:
                 continue
             return kind
     return None
+
+
+def missing_package(topic: Topic) -> str | None:
+    """Return the package of messages without which a topic cannot be read; None if it is no package that is missing."""
+    kinds = [kind for kind in topic.types if kind in READ_TYPES]
+    return kinds[0].split("/")[0] if kinds and readable_type(topic) is None else None

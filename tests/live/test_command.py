@@ -33,6 +33,18 @@ def test_a_recording_is_replayed_without_ros():
         (["--pcap-replay", "no_such.pcap"], "no_such.pcap does not exist"),
         (["--pcap-replay", RECORDING, "--goal", "1e9", "0", "2"], "A goal is within 1e+06 m of the origin"),
         (["--pcap-replay", RECORDING, "--odometry", "rko-lio"], "rko-lio needs an IMU"),
+        (
+            ["--pcap-replay", RECORDING, "--extrinsic", "nan", "0", "0", "0", "0", "0"],
+            "--extrinsic takes six finite numbers",
+        ),
+        (
+            ["--pcap-replay", RECORDING, "--mask", "1", "0", "0", "0", "1", "1"],
+            "--mask takes the lower corner of a box",
+        ),
+        (["--imu", "/imu"], "--imu is a topic, such as /livox/imu, for --odometry rko-lio, not '/imu' for None"),
+        (["--odometry", "rko-lio", "--imu", "imu"], "--imu is a topic, such as /livox/imu"),
+        (["--livox", "127.0.0.1:65500"], "a port up to 65435, not 127.0.0.1:65500"),
+        (["--livox", "127.0.0.1:first"], "a port up to 65435, not 127.0.0.1:first"),
         (["--rate", "0"], "--rate is in [0.1, 200] Hz"),
         (["--points", "points"], "--points is a topic, such as /points, not 'points'"),
         (["--odometry", "icp"], "--odometry is a topic, such as /Odometry, or kiss-icp or rko-lio, not 'icp'"),

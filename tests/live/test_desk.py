@@ -34,7 +34,7 @@ def wait_until(condition: Callable[[], object], timeout: float = 30.0) -> None:
 
 def test_the_packets_of_a_livox_become_clouds():
     stream = Stream("desk")
-    feed = LivoxFeed(stream, "127.0.0.1", port=0, imu_port=0)
+    feed = LivoxFeed(stream, "127.0.0.1:0")
     points = walls(96)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for number in range(80):
@@ -54,12 +54,12 @@ def test_a_port_that_is_taken_is_said():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("0.0.0.0", 0))
         with pytest.raises(UserError, match="end the driver that holds the port"):
-            LivoxFeed(Stream("desk"), "127.0.0.1", port=other.getsockname()[1], imu_port=0)
+            LivoxFeed(Stream("desk"), f"127.0.0.1:{other.getsockname()[1]}")
 
 
 def test_a_sensor_without_an_address_is_said():
     with pytest.raises(UserError, match=r"The Livox no_such\.sensor has no address"):
-        LivoxFeed(Stream("desk"), "no_such.sensor", port=0, imu_port=0)
+        LivoxFeed(Stream("desk"), "no_such.sensor")
 
 
 def test_a_capture_is_replayed_at_real_speed(tmp_path: Path):
@@ -96,7 +96,7 @@ def test_odometry_follows_the_sensor(method: str):
     offsets = np.linspace(0.0, 0.0999, len(cloud)) if method == "rko-lio" else np.zeros(len(cloud))
     for step in range(20):
         stamp, time = start + 100_000_000 * step, 0.1 * step - 0.4
-        for sample in range(0, 100, 5):
+        for sample in range(0, 105, 5):
             now = stamp + 1_000_000 * sample
             force = (float(0.0 <= time + 1e-3 * sample < 1.0), 0.0, GRAVITY)
             other = encode_imu(now, "gimbal", (0.0, 3.0, 0.0), (0.0, 0.0, 0.1))

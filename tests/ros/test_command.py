@@ -6,11 +6,15 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from aero_viz.ros.graph import Graph
+from aero_planner.onboard.ros_definitions import CLOUD
+from aero_viz.ros.feed import missing_package, readable_type
+from aero_viz.ros.graph import Graph, Topic
 from tests.cli.programs import interrupt, read_line
-from tests.ros.conftest import Start
+from tests.ros.conftest import Start, points_of, wait_until
+from tests.ros.driver import MOUNTING, WIDTH
 
 LIVE = [sys.executable, "-m", "aero_viz", "live"]
 
@@ -72,3 +76,52 @@ def test_without_a_driver_the_error_says_what_to_do():
     done = subprocess.run(LIVE, capture_output=True, text=True, timeout=90)
     assert done.returncode == 2
     assert "no topic of clouds that can be read" in done.stderr and "aero-viz live --list" in done.stderr
+
+
+def test_the_mounting_places_the_points(graph: Graph, start: Start):
+    start("tests.ros.driver", "--mounted")
+    clouds: list[np.ndarray] = []
+    graph.subscribe("/aero_viz/plan/filtered", CLOUD, lambda message: clouds.append(points_of(message)))
+    command = [*LIVE, "--port", "0", "--ros-out", "--extrinsic", *map(str, MOUNTING)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        wait_until(lambda: len(clouds) > 5 or process.poll() is not None, timeout=120.0)
+        interrupt(process)
+    x, y, z = clouds[-1].T
+    from_pillars = np.abs(np.hypot((x % 5.0) - 2.5, np.abs(y) - 1.8) - 0.3)
+    error = np.minimum.reduce([np.abs(z), np.abs(np.abs(y) - 0.5 * WIDTH), from_pillars])
+    assert len(error) > 100 and np.mean(error < 0.1) > 0.95
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ["--points", "/odometry"],
+            "of DOMAIN is a nav_msgs/msg/Odometry, not a point cloud; choose /points.",
+        ),
+        (["--odometry", "/points"], "is a sensor_msgs/msg/PointCloud2, which holds no poses; choose /odometry."),
+        (["--odometry", "/odom"], "DOMAIN has no pose topic /odom; did you mean /odometry?"),
+        (
+            ["--odometry", "rko-lio", "--imu", "/points"],
+            "/points of DOMAIN is a sensor_msgs/msg/PointCloud2, which holds",
+        ),
+    ],
+)
+def test_a_topic_that_is_of_no_use_is_refused(start: Start, domain: int, arguments: list[str], said: str):
+    start("tests.ros.driver")
+    done = subprocess.run([*LIVE, *arguments], capture_output=True, text=True, timeout=90)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert said.replace("DOMAIN", f"ROS 2 domain {domain}") in done.stderr
+
+
+def test_a_publisher_that_is_silent_is_named(graph: Graph):
+    graph.publisher("/points", CLOUD)
+    done = subprocess.run(LIVE, capture_output=True, text=True, timeout=90)
+    assert done.returncode == 2 and "Nothing arrives on /points. Listened for 12 s." in done.stderr
+
+
+def test_a_topic_whose_messages_are_not_installed_says_what_it_needs():
+    custom = Topic("/livox/lidar", ("livox_ros_driver2/msg/CustomMsg",), 1)
+    assert (readable_type(custom), missing_package(custom)) == (None, "livox_ros_driver2")
+    assert missing_package(Topic("/points", (CLOUD,), 1)) is None
+    assert missing_package(Topic("/texts", ("std_msgs/msg/String",), 1)) is None

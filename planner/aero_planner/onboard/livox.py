@@ -162,6 +162,7 @@ class LivoxSource:
         sensor: Address of the sensor; None accepts packets from anywhere.
         keep_uncertain: Keep points that the sensor rates as possible, but not likely, noise.
         clock: Host time [s].
+        stamps: Maps the sensor's stamps to host time; None takes one of its own.
 
     Raises:
         OSError: The port is in use, or the address is not one of this host.
@@ -180,6 +181,7 @@ class LivoxSource:
         sensor: str | None = None,
         keep_uncertain: bool = True,
         clock: Callable[[], float] = time.monotonic,
+        stamps: HostClock | None = None,
     ) -> None:
         self.counters = PointCounters()
         self.rejects = dict.fromkeys(Reject, 0)
@@ -187,7 +189,7 @@ class LivoxSource:
         self._refused = 0
         self._noise = noise_mask(keep_uncertain)
         self._time = clock
-        self._clock = HostClock()
+        self._clock = stamps or HostClock()
         self._sequence = _Sequence()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
