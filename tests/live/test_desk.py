@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from aero_planner.onboard.livox import encode_packet
+from aero_planner.quaternions import rotation_matrix
 from aero_viz.errors import UserError
 from aero_viz.live.livox import POINTS_TOPIC, LivoxFeed
 from aero_viz.live.odometry import TOPIC, OnlineOdometry
@@ -88,29 +89,35 @@ def way(time: NDArray[np.float64] | float) -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("method", ["kiss-icp", "rko-lio"])
-def test_odometry_follows_the_sensor(method: str):
+@pytest.mark.parametrize("extrinsic", [(0.0,) * 6, (0.2, 0.0, 0.1, 0.0, 25.0, 0.0)], ids=["level", "tilted"])
+def test_odometry_follows_the_body(method: str, extrinsic: tuple[float, ...]):
     pytest.importorskip(method.replace("-", "_"), reason="the extra 'odometry' is not installed")
     stream = Stream("desk")
-    odometry = OnlineOdometry(stream, method, points="/points", imu="/imu")
+    wanted = Wanted(extrinsic=extrinsic)
+    turn = rotation_matrix(wanted.mount.quaternion)
+    odometry = OnlineOdometry(stream, method, points="/points", imu="/imu", mount=wanted.mount)
     cloud, start = walls(6000), stream.clock.now() - 2_000_000_000
     offsets = np.linspace(0.0, 0.0999, len(cloud)) if method == "rko-lio" else np.zeros(len(cloud))
     for step in range(20):
         stamp, time = start + 100_000_000 * step, 0.1 * step - 0.4
         for sample in range(0, 105, 5):
             now = stamp + 1_000_000 * sample
-            force = (float(0.0 <= time + 1e-3 * sample < 1.0), 0.0, GRAVITY)
+            force = np.array([float(0.0 <= time + 1e-3 * sample < 1.0), 0.0, GRAVITY]) @ turn
             other = encode_imu(now, "gimbal", (0.0, 3.0, 0.0), (0.0, 0.0, 0.1))
             stream.add("/gimbal/imu", IMU_TYPE, other, time=now)
             stream.add("/imu", IMU_TYPE, encode_imu(now, "sensor", np.zeros(3), force), time=now)
         seen = cloud - np.stack([way(time + offsets), 0.0 * offsets, 0.0 * offsets + 1.5], axis=1)
+        seen = (seen - wanted.mount.position) @ turn
         times = offsets.astype(np.float32) if offsets.any() else None
         data = encode_point_cloud2(seen.astype(np.float32), stamp, "sensor", times=times)
         stream.add("/points", POINT_CLOUD2, data, time=stamp + 100_000_000)
         wait_until(lambda step=step: TOPIC in stream.topics and stream.topics[TOPIC].count > step)
-    setup = find_setup(stream, Wanted())
+    setup = find_setup(stream, wanted)
     assert (setup.poses, setup.twist) == (TOPIC, "none")
-    state = StreamSource(stream, setup).observe().state
-    np.testing.assert_allclose(np.asarray(state.velocity), [1.0, 0.0, 0.0], atol=0.15)
+    observation = StreamSource(stream, setup).observe()
+    np.testing.assert_allclose(np.asarray(observation.state.velocity), [1.0, 0.0, 0.0], atol=0.15)
+    _, y, z = np.concatenate(list(observation.sweeps)).T  # from where the body was at first, above the floor
+    assert np.mean(np.minimum(np.abs(np.abs(y) - 3.0), np.abs(z + 1.5)) < 0.1) > 0.95
     assert odometry.dropped == 0
     odometry.close()
 
