@@ -118,6 +118,8 @@ class OnlineOdometry:
         if register is None:
             return
         if isinstance(register, RkoLio):
+            if sweep.point_times is None:  # a single cloud whose times are damaged
+                return
             self._wait_for_samples(self._start + round(1e9 * time_in_sweep(sweep, 1.0)))
             register.add_imu(self._as_samples([self._samples.popleft() for _ in range(len(self._samples))]))
         matrix = register(sweep)
