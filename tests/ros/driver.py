@@ -21,14 +21,10 @@ from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2, PointField
 
-from aero_planner.quaternions import quaternion_from_angles, rotation_matrix
-
 LENGTH, WIDTH, HEIGHT = 40.0, 6.0, 5.0
 """Size of the corridor [m]; the body is in its middle."""
 GARBAGE = ("nan", "wrong_step", "future", "empty")
 SPEED, SPAN = 1.0, 4.0
-MOUNTING = (0.3, 0.0, -0.1, 0.0, 20.0, 0.0)
-"""Position [m] and roll, pitch, yaw [deg] in the body's frame of a sensor that looks down."""
 
 
 def corridor(count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -96,7 +92,6 @@ def main() -> None:
     parser.add_argument("--odometry-topic", default="/odometry")
     parser.add_argument("--best-effort", action="store_true")
     parser.add_argument("--no-odometry", action="store_true")
-    parser.add_argument("--mounted", action="store_true", help="the sensor is mounted as `MOUNTING` says, and no TF")
     parser.add_argument("--in-world", action="store_true", help="publish the cloud in the frame of the odometry")
     parser.add_argument("--clouds", type=int, default=10**9, help="publish so many, and end")
     parser.add_argument("--wait", action="store_true", help="begin when both topics are subscribed to")
@@ -125,12 +120,10 @@ def publish(options: argparse.Namespace) -> None:
         place = position(seconds)
         if poses is not None:
             forward = SPEED if (SPEED * seconds) % (2.0 * SPAN) < SPAN else -SPEED
-            poses.publish(odometry_message(place, stamp, forward, "base" if options.mounted else "lidar"))
+            poses.publish(odometry_message(place, stamp, forward))
         if seconds >= next_cloud - 1e-9:
             next_cloud += 1.0 / options.rate
             points = world if options.in_world else world - place.astype(np.float32)
-            if options.mounted:
-                points = (points - MOUNTING[:3]) @ rotation_matrix(quaternion_from_angles(*MOUNTING[3:]))
             clouds.publish(cloud_message(points, stamp, "odom" if options.in_world else "lidar"))
             sent += 1
         while orders:
