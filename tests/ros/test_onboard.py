@@ -141,11 +141,12 @@ def test_beside_a_sensor_that_is_read_directly_the_stamps_must_be_of_this_comput
     config = OnboardConfig().replace({"state.source": "ros"})
     with ros_inputs(config) as ros:
         assert ros is not None and ros.points is None and ros.odometry is not None
+        odometry = ros.odometry
         start("tests.ros.lio")  # whose clock began with the sensor
 
         def refused() -> str:
-            ros.odometry.place(None)
-            return " ".join(ros.odometry.dropped)
+            odometry.place(None)
+            return " ".join(odometry.dropped)
 
         wait_until(refused)
         assert "/Odometry with stamps of another clock than this computer's" in refused()
