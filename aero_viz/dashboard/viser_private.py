@@ -155,27 +155,23 @@ def mend(server: viser.ViserServer, on_leave: Callable[[int], object]) -> None:
 
 
 class LoopEvent(asyncio.Event):
-    """An event that may be set from any thread.
+    """An event that is set on its event loop only.
 
-    viser's message buffer sets its event from the thread that sends a message. If that happens just before the event
-    loop starts to wait, the event is set while somebody waits for it: it cannot be set again, and no message is sent
-    until another client connects. Here it is set on the event loop only.
+    viser's message buffer sets its event twice: on the thread that sends a message, and on the event loop, after the
+    message or after the atomic update that it belongs to. The first time counts for nothing. Just before the event loop
+    starts to wait, it would leave the event set while somebody waits for it: the event could not be set again, and no
+    message would be sent until another client connects. And it would wake the event loop for every message of an
+    update.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
         self._target_loop = loop
-        self._is_scheduled = False
 
     def set(self) -> None:
-        """Set the event: at once when called on its loop, otherwise as soon as the loop runs."""
+        """Set the event if called on its loop."""
         if asyncio._get_running_loop() is self._target_loop:
-            self._is_scheduled = False
             super().set()
-        elif not self._is_scheduled:  # one wake-up for all messages of an update
-            self._is_scheduled = True
-            with contextlib.suppress(RuntimeError):  # the server was stopped
-                self._target_loop.call_soon_threadsafe(self.set)
 
 
 @contextlib.contextmanager

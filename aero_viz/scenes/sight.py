@@ -55,8 +55,9 @@ class SightLines:
             target: position to see [m], shape [3].
         """
         place = np.asarray(target, dtype=np.float64)
-        found = self.blocked_by(eye, place[None], np.array([0.05]))
-        boxes, triangles = self._tables["boxes"][found["boxes"]], self._triangles[found["triangles"]]
+        line = np.asarray(eye, dtype=np.float64), place, 0.05
+        boxes = self._tables["boxes"][self._solids("boxes", *line)]
+        triangles = self._triangles[self._surface(*line)]
         boxes = boxes[boxes[:, 3:5].min(axis=1) > 2.0 * boxes[:, 5]]
         normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
         flat = np.abs(normals[:, 2]) > 0.8 * np.linalg.norm(normals, axis=1)

@@ -1,6 +1,7 @@
 """The private parts of viser that the page uses: they are in one module, and those of the version that was checked."""
 
 import ast
+import asyncio
 import inspect
 import re
 from pathlib import Path
@@ -13,7 +14,7 @@ from viser import _messages
 from viser.infra import _async_message_buffer, _infra
 
 from aero_viz.dashboard import page_messages, viser_private
-from tests.dashboard.page_client import CAMERA, join, send, wait_for
+from tests.dashboard.page_client import CAMERA, join, read_until, send, wait_for
 
 ROOT = Path(__file__).parents[2]
 ADAPTER, THIS = Path(viser_private.__file__), Path(__file__)
@@ -87,6 +88,23 @@ def test_the_parts_have_the_expected_types(server):
         assert not viser_private.is_removed(handle), ADVICE
         handle.remove()
         assert viser_private.is_removed(handle), ADVICE
+
+
+def test_messages_wake_the_event_loop_once_they_may_be_sent(server, client):
+    loop = server.get_event_loop()
+    event = viser_private.LoopEvent(loop)
+    event.set()
+    asyncio.run_coroutine_threadsafe(asyncio.sleep(0), loop).result()
+    assert not event.is_set(), "set by the thread that sends a message of an update"
+    loop.call_soon_threadsafe(event.set)
+    wait_for(event.is_set, "the event")
+    for visitor in (server, *server.get_clients().values()):
+        with visitor.atomic():
+            visitor.gui.add_html("one of an update")
+            visitor.gui.add_html("another one")
+        read_until(client, "another one")
+        visitor.gui.add_html("one alone")
+        read_until(client, "one alone")
 
 
 @pytest.mark.parametrize("part", SIGNATURES, ids=lambda part: part.__qualname__)

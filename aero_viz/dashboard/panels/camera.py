@@ -249,14 +249,13 @@ class CameraPanel(Panel):
             elif mode != "free" and not np.array_equal(target, self._targets.get(number, target + 1.0)):
                 # Moving a camera also moves the point that it looks at. While the drone is at rest, the camera is left
                 # alone: its position may be older than what the visitor's mouse does now.
-                eye = target + eye - camera.look_at
-                changes.append((camera, "position", eye))
+                eye, is_turned = target + eye - camera.look_at, False
                 if mode == "follow" and frame.world is not None:
                     known = self._followers.setdefault(number, _Follower(Outlook(self._views.sight)))
                     free = position + known.place(frame, eye - position)
-                    if not np.allclose(free, eye, atol=1e-3):
-                        eye = free
-                        changes += [(camera, "position", eye), (camera, "look_at", target)]
+                    is_turned = not np.allclose(free, eye, atol=1e-3)
+                    eye = free if is_turned else eye
+                changes += [(camera, "position", eye), *([(camera, "look_at", target)] if is_turned else [])]
             self._targets[number] = target
             self.eyes.append(eye)
         return changes
