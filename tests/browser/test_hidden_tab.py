@@ -1,20 +1,7 @@
 """A page in a hidden tab goes on reading what the flight sends."""
 
 from tests.browser.desk import COARSE, open_desk, quick_forest
-
-HIDE = """
-(() => {
-  // What a browser does in a hidden tab, which it can't have without a window: no pictures.
-  const draw = requestAnimationFrame.bind(window), held = [];
-  let hidden = false;
-  Object.defineProperty(document, "hidden", {get: () => hidden});
-  window.requestAnimationFrame = callback => hidden ? held.push(callback) : draw(callback);
-  window.hide = now => {
-    hidden = now;
-    if (!hidden) held.splice(0).forEach(callback => draw(callback));
-  };
-})()
-"""
+from tests.browser.hiding import HIDE
 
 
 def test_a_hidden_tab_reads_on(browser):

@@ -1,4 +1,4 @@
-"""Fly for two hours before two browsers, one of them slow: `make soak`, or `make soak ARGS="--minutes 10"`."""
+"""Fly for two hours before two browsers, one of them slow: `make soak`, or `make soak ARGS="--minutes 10 --hidden"`."""
 
 import argparse
 import contextlib
@@ -16,6 +16,7 @@ from playwright.sync_api import Error, Page, Playwright, sync_playwright
 from soak.report import TICK_RATE, Sample, curve, problems, table, write_csv
 
 from aero_viz.browser import CHROMIUM_FLAGS, find_chromium
+from tests.browser.hiding import HIDE
 
 _PERIOD = 5.0
 """Time between two samples [s]."""
@@ -40,12 +41,17 @@ window.soak.take = () => {
 };
 """
 """Script of the page: the longest time without any change of what it says, and the memory of its JavaScript."""
+_SHOWN = "Number(document.getElementById('aero-curve-state').dataset.now)"
+"""Expression of JavaScript: the time of the flight that the page shows [s]."""
+_PRESENT = 0.5
+"""Time by which a page that shows the present may be late [s of flight]."""
 
 
 def main() -> int:
     """Run the soak, print its table, write its samples and its curve, and return 1 if something grew or froze."""
     parser = argparse.ArgumentParser(prog="soak", description=__doc__)
     parser.add_argument("--minutes", type=float, default=120.0, help="how long to run")
+    parser.add_argument("--hidden", action="store_true", help="hide both pages, and slow neither of them down")
     parser.add_argument("--folder", type=Path, default=Path("build/soak"), help="where the samples are written")
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
@@ -56,9 +62,14 @@ def main() -> int:
             _niceness(),
             sync_playwright() as playwright,
             _page(playwright, url, slow=False) as fast,
-            _page(playwright, url, slow=True) as slow,
+            _page(playwright, url, slow=not options.hidden) as slow,
         ):
+            fast.wait_for_timeout(1e3 * _WARM_UP)
+            for page in (fast, slow):
+                page.evaluate(f"hide({json.dumps(options.hidden)})")
             _watch(process, fast, slow, options.minutes, samples, options.folder)
+            if options.hidden:
+                _show(process, fast)
     except KeyboardInterrupt:
         print("Stopped; the run so far:")
     if not samples:
@@ -80,7 +91,6 @@ def _watch(
     process: subprocess.Popen[str], fast: Page, slow: Page, minutes: float, samples: list[Sample], folder: Path
 ) -> None:
     """Append a sample every few seconds. They are written as well, so that a long run can be looked at."""
-    fast.wait_for_timeout(1e3 * _WARM_UP)
     for page in (fast, slow):
         page.evaluate("soak.take()")
     server, start, before = psutil.Process(process.pid), time.monotonic(), figures(process)
@@ -105,12 +115,35 @@ def _watch(
                 slow_age=slow_age,
                 fast_heap_mb=fast_heap,
                 slow_heap_mb=slow_heap,
+                fast_process_mb=_process_mb(fast),
             )
         )
         before, cpu_before = state, cpu
         if len(samples) % 60 == 0:
             _write(samples, folder)
             print(f"{samples[-1]}", flush=True)
+
+
+def _show(process: subprocess.Popen[str], page: Page) -> None:
+    """Show a hidden page again, and print how long it takes to show the present."""
+    late, started = figures(process)["time"] - page.evaluate(_SHOWN), time.monotonic()
+    page.evaluate("hide(false)")
+    while True:
+        page.evaluate("new Promise(drawn => requestAnimationFrame(drawn))")
+        if figures(process)["time"] - page.evaluate(_SHOWN) < _PRESENT:
+            break
+    print(f"The hidden page was late by {late:.1f} s of flight. It shows the present after "
+          f"{time.monotonic() - started:.1f} s.")  # fmt: skip
+
+
+def _process_mb(page: Page) -> float:
+    """Return the resident memory of the process of a page [MB]."""
+    assert page.context.browser is not None
+    devtools = page.context.browser.new_browser_cdp_session()
+    processes = devtools.send("SystemInfo.getProcessInfo")["processInfo"]
+    devtools.detach()
+    numbers = [process["id"] for process in processes if process["type"] == "renderer"]
+    return sum(psutil.Process(number).memory_info().rss for number in numbers) / 1e6
 
 
 def figures(process: subprocess.Popen[str]) -> dict[str, Any]:
@@ -150,6 +183,7 @@ def _page(playwright: Playwright, url: str, *, slow: bool) -> Iterator[Page]:
     browser = playwright.chromium.launch(executable_path=find_chromium(), args=list(CHROMIUM_FLAGS))
     try:
         page = browser.new_page(viewport={"width": 480, "height": 320})
+        page.add_init_script(HIDE)
         page.add_init_script(_WATCH)
         if slow:
             devtools = page.context.new_cdp_session(page)

@@ -10,7 +10,13 @@ TICK_RATE = 50.0
 """Ticks of a flight per second."""
 FREEZE = 30.0
 """Time without any change of a page after which it counts as frozen [s]."""
-_GROWTH = {"memory_mb": (0.05, 20.0), "threads": (0.0, 3.0), "files": (0.0, 5.0), "fast_heap_mb": (0.3, 40.0)}
+_GROWTH = {
+    "memory_mb": (0.05, 20.0),
+    "threads": (0.0, 3.0),
+    "files": (0.0, 5.0),
+    "fast_heap_mb": (0.3, 40.0),
+    "fast_process_mb": (0.2, 40.0),
+}
 """Growth from the second quarter of a run to the last one that is a leak: a share of the value plus a number."""
 
 
@@ -38,6 +44,8 @@ class Sample:
     fast_heap_mb: float
     """Memory of the page's JavaScript [MB]; likewise of the slow one."""
     slow_heap_mb: float
+    fast_process_mb: float
+    """Resident memory of the process of the fast page [MB]."""
 
 
 def problems(samples: Sequence[Sample]) -> list[str]:
@@ -64,8 +72,9 @@ def problems(samples: Sequence[Sample]) -> list[str]:
 
 def table(samples: Sequence[Sample], rows: int = 8) -> str:
     """Return a Markdown table with `rows` equal parts of the run, one a row."""
-    head = "| minutes | memory | threads | files | ticks per s | missed | flights | longest standstill: fast, slow |"
-    lines = [head, "| --- " * 8 + "|"]
+    head = "| minutes | memory | threads | files | ticks per s | missed | flights | longest standstill: fast, slow "
+    head += "| fast page: heap, process |"
+    lines = [head, "| --- " * 9 + "|"]
     for k in range(min(rows, len(samples))):
         part = samples[k * len(samples) // rows : (k + 1) * len(samples) // rows] or samples[k : k + 1]
         ticks, missed = sum(s.ticks for s in part), sum(s.missed for s in part)
@@ -74,7 +83,8 @@ def table(samples: Sequence[Sample], rows: int = 8) -> str:
             f"| {part[0].minutes:.0f} to {last.minutes:.0f} | {median(s.memory_mb for s in part):.0f} MB "
             f"| {max(s.threads for s in part)} | {max(s.files for s in part)} "
             f"| {TICK_RATE * ticks / max(ticks + missed, 1.0):.1f} | {100.0 * missed / max(ticks + missed, 1.0):.1f} % "
-            f"| {last.flights} | {max(s.fast_age for s in part):.1f} s, {max(s.slow_age for s in part):.1f} s |"
+            f"| {last.flights} | {max(s.fast_age for s in part):.1f} s, {max(s.slow_age for s in part):.1f} s "
+            f"| {median(s.fast_heap_mb for s in part):.0f} MB, {median(s.fast_process_mb for s in part):.0f} MB |"
         )
     return "\n".join(lines)
 

@@ -62,8 +62,9 @@ def main() -> None:
     threading.Thread(target=demo.fly, daemon=True).start()
     print(json.dumps(dashboard.url), flush=True)
     for _ in sys.stdin:
-        clients = len(dashboard.server.get_clients())
+        clients, frame = len(dashboard.server.get_clients()), session.frame
         figures = {"ticks": demo.ticks, "played": demo.played, "flights": demo.flights, "clients": clients}
+        figures["time"] = 0.0 if frame is None else frame.time
         print(json.dumps(figures), flush=True)
     dashboard.close()
     session.close()

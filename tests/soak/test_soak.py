@@ -9,7 +9,7 @@ from soak.report import FREEZE, Sample, curve, problems, table
 
 GOOD = Sample(
     minutes=0.0, memory_mb=300.0, cpu=0.9, threads=20, files=10, ticks=240, missed=10.0, flights=3, clients=2,
-    fast_age=1.0, slow_age=4.0, fast_heap_mb=60.0, slow_heap_mb=60.0,
+    fast_age=1.0, slow_age=4.0, fast_heap_mb=60.0, slow_heap_mb=60.0, fast_process_mb=300.0,
 )  # fmt: skip
 
 
@@ -31,7 +31,8 @@ def test_a_run_in_which_nothing_happens_is_good():
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("memory_mb", 400.0), ("threads", 30), ("files", 30), ("fast_heap_mb", 260)]
+    ("name", "value"),
+    [("memory_mb", 400.0), ("threads", 30), ("files", 30), ("fast_heap_mb", 260), ("fast_process_mb", 700)],
 )
 def test_growth_is_found(name, value):
     assert any(name in problem for problem in problems(run(**{name: value})))
