@@ -130,6 +130,7 @@ def test_a_drone_that_hits_the_ground_is_seen_from_the_side(browser):
             desk.session.step(10).result()
         assert frame().outcome == "collision"
         desk.wait_for(lambda: 0.0 < elevation() < 16.0, "a view from the side")
+        assert np.linalg.norm(desk.camera.look_at - frame().drone_position) < 0.3, "no panel hides it"
         desk.session.seek(0.1).result()
         desk.wait_for(lambda: frame().outcome is None and elevation() > 20.0, "the view from behind again")
 

@@ -13,6 +13,7 @@ from PIL import Image
 from aero_planner import PlannerConfig
 from aero_viz.catalog import open_source, shipped_recordings
 from aero_viz.dashboard.snapshot import launch_chromium
+from aero_viz.flight.known_drone import config_for_flight
 from tests.browser.desk import Desk, open_desk
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -174,7 +175,7 @@ def take(view: View, path: Path) -> None:
     source = open_source(view.source, seed=view.seed)
     options: dict[str, Any] = {
         "ticks": round(view.seconds / source.info.period),
-        "config": view.config,
+        "config": config_for_flight(view.config or PlannerConfig(), source.info),
         "opened": view.source,
         "seed": view.seed,
     }

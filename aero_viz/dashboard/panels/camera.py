@@ -37,7 +37,8 @@ _OFFSETS = {
 }
 """Position of the camera relative to the drone [m], per view; +x points to the goal."""
 _TARGET_DISTANCE = 1.6
-"""Distance from the drone to the point that the camera looks at, toward the goal [m]."""
+"""Distance from the drone to the point that the camera looks at, toward the goal [m]. From near, on the ground, the
+camera looks at the drone: it would be at the edge of the view, behind a panel."""
 _REACHES = (1.0, 0.8, 0.6, 0.45)
 """Distances of a first view from the drone to try in turn, as a share of the full one."""
 _CLEARANCE = 0.15
@@ -64,7 +65,7 @@ def view(name: str, position: Point, goal: Point, *, reach: float = 1.0) -> tupl
     heading = np.arctan2(*(goal - position)[1::-1])
     c, s = np.cos(heading), np.sin(heading)
     rotation = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
-    target = position + rotation @ (_TARGET_DISTANCE, 0.0, 0.0)
+    target = position + rotation @ (0.0 if name == "ground" else _TARGET_DISTANCE, 0.0, 0.0)
     return position + reach * rotation @ np.array(_OFFSETS[name]), target
 
 
