@@ -60,7 +60,8 @@ def finish_fine_cells(r: Recorder) -> list[Chunk]:
         _serial("partition", r.record(
             partition.finish_fine_cells,
             r.threads_of_cells(workers),
-            inputs=[worker, workers, r.tuning.cells_per_thread, r.sweeps, r.params, w.cell_keys, w.worker_dropped],
+            inputs=[worker, workers, r.tuning.cells_per_thread, r.problem, r.sweeps, r.params, w.cell_keys,
+                    w.worker_dropped],
             outputs=[r.cells, r.outputs.dropped_points],
         ))[0]
         for worker in range(workers)

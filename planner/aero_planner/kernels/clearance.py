@@ -18,7 +18,7 @@ from aero_planner.device.kernel_tuning import KernelTuning
 from aero_planner.device.params import Params
 from aero_planner.device.records import Cells, Problem, grid_struct
 from aero_planner.device.warp_ops import claim_slots, minimum_over, point_pack, read_point_pack
-from aero_planner.kernels.partition import cells_of_thread, farthest
+from aero_planner.kernels.partition import cells_of_thread, farthest, top_speed
 
 wp.set_module_options({"enable_backward": False})
 
@@ -36,15 +36,15 @@ FAR = wp.constant(1.0e18)
 
 
 @wp.func
-def safety_limit(params: Params) -> float:
-    """Return the largest clearance that matters for safety, that of a drone at its speed limit [m]."""
-    return params.safe_clearance + params.speed_margin * params.speed_limit
+def safety_limit(v: wp.vec3, params: Params) -> float:
+    """Return the largest clearance that matters for safety, at the speed limit or the velocity v [m]."""
+    return params.safe_clearance + params.speed_margin * top_speed(v, params)
 
 
 @wp.func
-def cell_size(params: Params) -> float:
-    """Return the width of a cell [m]."""
-    return wp.max(params.distance_max, wp.max(safety_limit(params), 2.0 * farthest(params) / float(GRID - 2)))
+def cell_size(v: wp.vec3, params: Params) -> float:
+    """Return the width of a cell for a drone of velocity v [m]."""
+    return wp.max(params.distance_max, wp.max(safety_limit(v, params), 2.0 * farthest(v, params) / float(GRID - 2)))
 
 
 @wp.func
@@ -84,7 +84,7 @@ def count_points(
     """
     b, thread = wp.tid()
     center = problem.position[b]
-    size = cell_size(params[b])
+    size = cell_size(problem.velocity[b], params[b])
     first, end = cells_of_thread(thread, 0, 1, cells_per_thread, cells.rows * cells.columns)
     for i in range(first, end):
         if cells.occupied[b, i] != 0:
@@ -167,7 +167,7 @@ def fill_rows(tuning: KernelTuning) -> wp.Kernel:
             for slot in range(used, (used + WIDTH - 1) // WIDTH * WIDTH):
                 pack_coordinates[b, slot // WIDTH, 0, slot % WIDTH] = FAR
         center = problem.position[b]
-        size = cell_size(params[b])
+        size = cell_size(problem.velocity[b], params[b])
         first, end = cells_of_thread(thread, 0, 1, cells_per_thread, cells.rows * cells.columns)
         for i in range(first, end):
             if cells.occupied[b, i] != 0:
@@ -287,11 +287,11 @@ def above_ground(d: float, x: wp.vec3, ground_height: float, params: Params) -> 
 
 
 @wp.func
-def query_limit(t: int, steps: int, params: Params) -> float:
+def query_limit(t: int, steps: int, v: wp.vec3, params: Params) -> float:
     """Return the distance beyond which the clearance of row t of a rollout does not matter [m].
 
-    Rows from `steps` on are probes of the cost-to-go.
+    Rows from `steps` on are probes of the cost-to-go; v is the velocity of the drone.
     """
     if t >= steps:
         return params.distance_min
-    return wp.max(params.distance_max, safety_limit(params))
+    return wp.max(params.distance_max, safety_limit(v, params))

@@ -37,9 +37,18 @@ def longest_lookahead(params: Params) -> float:
 
 
 @wp.func
-def farthest(params: Params) -> float:
-    """Return the range beyond which points are ignored, which grows with the speed limit as the look-ahead does [m]."""
-    return wp.max(params.range_max, 2.0 * params.lookahead_time * params.speed_limit)
+def top_speed(v: wp.vec3, params: Params) -> float:
+    """Return the speed limit, or the speed of a drone that is faster, since its limit was lowered in flight [m/s]."""
+    return wp.max(params.speed_limit, wp.length(v))
+
+
+@wp.func
+def farthest(v: wp.vec3, params: Params) -> float:
+    """Return the range beyond which a drone of velocity v ignores points [m].
+
+    It grows with the speed as the look-ahead does: a drone must see as far as it needs to stop.
+    """
+    return wp.max(params.range_max, 2.0 * params.lookahead_time * top_speed(v, params))
 
 
 @wp.func
@@ -116,7 +125,7 @@ def scatter_points(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         oldest = cloud.oldest[0]
         ordered = cloud.is_ordered[sweep] != 0
         origin = problem.position[b]
-        range_max = farthest(params[b])
+        range_max = farthest(problem.velocity[b], params[b])
         if ordered:
             counters = b * cloud.start.shape[0] + sweep
             last = last_shell(origin, cloud.center[b, sweep], range_max, cloud.reach[b, sweep])
@@ -224,6 +233,7 @@ def finish_fine_cells(
     workers: int,
     cells_per_thread: int,
     # problem
+    problem: Problem,
     cloud: CloudSweeps,
     # configuration
     params: wp.array(dtype=Params),
@@ -247,7 +257,7 @@ def finish_fine_cells(
             count += worker_dropped[scanned, b]
             worker_dropped[scanned, b] = 0
         dropped_points[b] = count
-    empty_range = farthest(params[b])
+    empty_range = farthest(problem.velocity[b], params[b])
     for cell in range(first, end):
         key = EMPTY
         for scanned in range(cell_keys.shape[0]):

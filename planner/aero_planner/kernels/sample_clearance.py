@@ -72,9 +72,10 @@ def _query_one_by_one(tuning: KernelTuning, composition: Composition) -> wp.Kern
             return
         c = params[b]
         rows = wp.where(c.q_blocked == 0.0, steps, sample_clearance_cost.shape[1])
-        size = cell_size(c)
+        v = problem.velocity[b]
+        size = cell_size(v, c)
         for t in range(group * ROWS, wp.min(group * ROWS + ROWS, rows)):
-            limit = query_limit(t, steps, c)
+            limit = query_limit(t, steps, v, c)
             x = wp.vec3(sample_positions[i, t, 0, k], sample_positions[i, t, 1, k], sample_positions[i, t, 2, k])
             d = clearance(x, limit, b, thread, problem.position[b], size, grid)
             d = above_ground(d, x, problem.ground_height[b], c)
@@ -133,9 +134,10 @@ def _query_vectors(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             return
         samples = sample_clearance_cost.shape[2]
         center = problem.position[b]
+        v = problem.velocity[b]
         ground = problem.ground_height[b]
-        limit = query_limit(t, steps, c)
-        size = cell_size(c)
+        limit = query_limit(t, steps, v, c)
+        size = cell_size(v, c)
         reach = limit / size + ROUNDING  # in cells
         first_cell = Integers()
         last_cell = Integers()

@@ -143,17 +143,18 @@ def evaluate_states(tuning: KernelTuning, composition: Composition) -> wp.Kernel
             return
         c = params[b]
         steps = rollouts.controls.shape[2]
+        v = problem.velocity[b]
         x = rollouts.positions[b, m, wp.min(t + 1, steps)]
         time = float(t + 1) * c.dt
         margin = float(0.0)
-        limit = query_limit(t, steps, c)
+        limit = query_limit(t, steps, v, c)
         if t == steps + PROBES:
             x = rollouts.positions[b, m, 0]
             time = 0.0
-            limit = query_limit(0, steps, c)
+            limit = query_limit(0, steps, v, c)
         elif t >= steps:
             x = probe_position(x, problem.goal[b], t - steps, c)
-        d = clearance_of(x, limit, b, thread, problem.position[b], cell_size(c), grid)
+        d = clearance_of(x, limit, b, thread, problem.position[b], cell_size(v, c), grid)
         d = above_ground(d, x, problem.ground_height[b], c)
         static_d = d
         if t < steps or t == steps + PROBES:

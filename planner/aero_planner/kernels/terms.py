@@ -76,7 +76,7 @@ def write_terms(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         s.q_goal = start.goal_quaternion[b]
         s.u = start.command[b]
         center = problem.position[b]
-        size = cell_size(c)
+        size = cell_size(problem.velocity[b], c)
         for t in range(steps):
             s.t = t
             s.u_before = s.u
@@ -86,7 +86,7 @@ def write_terms(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             s.p = p
             s.v = v
             s.q = q
-            d = clearance_of(p, query_limit(t, steps, c), b, 0, center, size, grid)
+            d = clearance_of(p, query_limit(t, steps, problem.velocity[b], c), b, 0, center, size, grid)
             d = above_ground(d, p, problem.ground_height[b], c)
             d = dynamic(d, p, float(t + 1) * c.dt, b, views, c)
             terms.positions[n, t] = p
@@ -100,7 +100,7 @@ def write_terms(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         if c.q_blocked > 0.0:
             for j in range(PROBES):
                 x = probe_position(p, e.p_goal, j, c)
-                d = clearance_of(x, query_limit(steps, steps, c), b, 0, center, size, grid)
+                d = clearance_of(x, query_limit(steps, steps, problem.velocity[b], c), b, 0, center, size, grid)
                 if above_ground(d, x, problem.ground_height[b], c) < c.distance_min:
                     e.blocked += 1.0 / float(PROBES)
         write_end(n, steps - 1, e, views, c, terms.values)

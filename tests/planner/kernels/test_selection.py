@@ -54,6 +54,20 @@ def test_a_fast_drone_keeps_a_margin(device: str, margin: float):
     assert chosen > 5 and (near > 0) == (margin == 0.0)
 
 
+@pytest.mark.parametrize("speed", [12.0, 24.0])
+def test_a_drone_that_is_faster_than_its_limit_is_clear_in_open_space_and_sees_as_far_as_it_needs(
+    device: str, speed: float
+):
+    """Its limit was lowered in flight; distances end where a drone of its speed no longer needs them."""
+    config = config_of("racer", vehicle__speed_limit=1.0)
+    case = random_case(0, count=0, tilt=0.0)
+    case.velocity, case.acceleration, case.goal = np.array([speed, 0, 0]), np.zeros(3), case.beside(90, 0, 0)
+    plan = case.plan(Planner(config, device=device, seed=1))
+    assert plan.status == PlanStatus.OK
+    farthest = max(config.partition.range_max, 2.0 * config.anchors.lookahead_time * speed)
+    np.testing.assert_allclose(plan.fine_range, farthest, rtol=1e-6)
+
+
 def next_to_a_wall() -> Case:
     """Return a fast drone with a wall across its way, which is nearer on its left."""
     case = random_case(0, count=0, tilt=0.0)

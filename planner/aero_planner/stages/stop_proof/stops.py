@@ -213,7 +213,7 @@ def evaluate_stops(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         demanded = clear_stop(scores.static_clearance[b, m, last], c)
         allowance = demanded - clear_stop(scores.state_clearance[b, m, last], c)
         switch = switch_step(i % STOPS, steps, start.period[b], c.dt)
-        size = cell_size(c)
+        size = cell_size(problem.velocity[b], c)
         floor = _WIDEST * demanded
         least = float(c.safe_clearance)
         for row in range(group * ROWS, wp.min(group * ROWS + ROWS, 2 * steps)):

@@ -248,7 +248,7 @@ def continue_surfaces(tuning: KernelTuning) -> wp.Kernel:
         columns = cells.columns
         q = wp.normalize(problem.quaternion[b])
         origin = problem.position[b]
-        range_max = farthest(c)
+        range_max = farthest(problem.velocity[b], c)
         edges = edges_of_view(c)
         middle = 0.5 * wp.radians(edges[0] + edges[1])
         narrow = is_narrow(c)
