@@ -130,6 +130,7 @@ class Workspace:
     command: wp.array = array(wp.vec4, "B", "", "Control of the previous plan that is being flown.")
     control: wp.array = array(wp.vec4, "B", "", "Control in effect, which lags behind the commands.")
     period: wp.array = array(wp.float32, "B", "s", "Time since the previous plan, taken as that to the next one.")
+    goal: wp.array = array(wp.vec3, "B", "m", "p_goal, at an allowed height, world frame.")
     goal_velocity: wp.array = array(wp.vec3, "B", "m/s", "v_goal, completed.")
     goal_quaternion: wp.array = array(wp.vec4, "B", "", "q_goal, completed, w x y z.")
     lookahead: wp.array = array(wp.float32, "B", "m", "l.")

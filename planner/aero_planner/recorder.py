@@ -77,7 +77,7 @@ class Recorder:
         self.inputs, self.outputs, self.work = i, o, w
         self.params, self.change = arrays.params, arrays.change
         self.problem = bundle(
-            records.Problem, active=w.active, goal=i.goal_position,
+            records.Problem, active=w.active, given_goal=i.goal_position, goal=w.goal,
             **{name: getattr(i, name) for name in (
                 "time", "position", "velocity", "quaternion", "acceleration", "disturbance", "goal_velocity",
                 "goal_quaternion", "cloud_age", "is_blind", "ground_height",

@@ -42,7 +42,8 @@ class Problem:
     quaternion: wp.array(dtype=wp.vec4)  # [B], need not be normalised
     acceleration: wp.array(dtype=wp.vec3)  # [B], NaN: unknown
     disturbance: wp.array(dtype=wp.vec3)  # [B], acceleration besides control and gravity; NaN: unknown
-    goal: wp.array(dtype=wp.vec3)  # [B]
+    given_goal: wp.array(dtype=wp.vec3)  # [B]
+    goal: wp.array(dtype=wp.vec3)  # [B], the place nearest to it at an allowed height, see `goal_between_heights`
     goal_velocity: wp.array(dtype=wp.vec3)  # [B], NaN: zero
     goal_quaternion: wp.array(dtype=wp.vec4)  # [B], NaN: level, with the nose toward the goal
     cloud_age: wp.array(dtype=float)  # [B]

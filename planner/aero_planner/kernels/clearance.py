@@ -287,6 +287,22 @@ def above_ground(d: float, x: wp.vec3, ground_height: float, params: Params) -> 
 
 
 @wp.func
+def goal_between_heights(goal: wp.vec3, ground_height: float, params: Params) -> wp.vec3:
+    """Return the place nearest to a goal that is d_max above the ground and within the band of heights [m].
+
+    It is in the middle of a band that is too narrow for that. Beyond, no drone could come nearer to the goal, and would
+    look for a way there.
+    """
+    lowest = params.height_min
+    if params.use_ground != 0:
+        lowest = wp.max(lowest, ground_height)
+    low = lowest + params.distance_max
+    high = params.height_max - params.distance_max
+    z = wp.where(low < high, wp.clamp(goal[2], low, high), 0.5 * (low + high))
+    return wp.vec3(goal[0], goal[1], z)
+
+
+@wp.func
 def query_limit(t: int, steps: int, v: wp.vec3, params: Params) -> float:
     """Return the distance beyond which the clearance of row t of a rollout does not matter [m].
 

@@ -10,6 +10,7 @@ from aero_planner.composition import Composition
 from aero_planner.device.hook_records import Estimate
 from aero_planner.device.params import Params
 from aero_planner.device.records import PreviousPlan, Problem, Start
+from aero_planner.kernels.clearance import goal_between_heights
 from aero_planner.models.vehicle_model import VehicleModel
 
 wp.set_module_options({"enable_backward": False})
@@ -93,7 +94,7 @@ def predict_state(composition: Composition) -> wp.Kernel:
 
     @wp.kernel(module="unique", enable_backward=False)
     def predict_state(
-        # problem
+        # problem, of which the goal is out
         problem: Problem,
         # configuration
         params: wp.array(dtype=Params),
@@ -103,13 +104,15 @@ def predict_state(composition: Composition) -> wp.Kernel:
         # out
         start: Start,
     ):
-        """Write the state after the delay of commands, under the commands of the previous plan that are still to act.
+        """Write the goal that is flown to, and the state after the delay of commands, under those of the previous plan
+        that are still to act.
 
         The commands that arrive from now on are those that were sent one delay ago; the control in effect lags behind
         them. Without a delay the state is copied, with its attitude normalised. Launched over [B].
         """
         b = wp.tid()
         c = params[b]
+        problem.goal[b] = goal_between_heights(problem.given_goal[b], problem.ground_height[b], c)
         p = problem.position[b]
         v = problem.velocity[b]
         q = wp.normalize(problem.quaternion[b])

@@ -133,6 +133,29 @@ def test_nothing_dives_to_unseen_ground(device: str):
     assert lowest[0] < -0.75 < lowest[1]
 
 
+@pytest.mark.parametrize(
+    ("height", "flown_to", "changes"),
+    [
+        (-3.0, -1.0 + 0.55, {}),
+        (9.0, 4.0 - 0.55, {}),
+        (-3.0, -2.0 + 0.55, {"costs__use_ground": False}),
+        (9.0, 1.4, {"costs__height_min": 1.0, "costs__height_max": 1.8}),
+    ],
+)
+def test_a_goal_at_a_height_that_is_not_free_counts_as_the_nearest_free_place(
+    device: str, height: float, flown_to: float, changes: dict[str, float]
+):
+    """In a band that is too low for d_max on both sides, that is its middle."""
+    case = random_case(0, count=0, tilt=0.0)
+    case.position, plans = np.array([0.0, 0.0, 1.375]), []
+    config = config_of(**{"costs__height_min": -2.0, "costs__height_max": 4.0, **changes})
+    for z in (height, flown_to):
+        case.goal = np.array([6.0, 2.0, z])
+        plans.append(case.plan(Planner(config, device=device), ground_height=-1.0))
+    np.testing.assert_allclose(plans[0].initial_endpoints, plans[1].initial_endpoints, atol=1e-5)
+    np.testing.assert_allclose(plans[0].goal_cost, plans[1].goal_cost, rtol=1e-4)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_the_ends_of_the_band_of_heights_count_as_obstacles(device: str, seed: int):
     """Also where there is no point, beyond the grid, and out of the band, where nothing is clear."""
