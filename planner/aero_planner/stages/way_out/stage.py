@@ -11,7 +11,14 @@ from aero_planner.array_memory import array
 from aero_planner.costs import CostTerm
 from aero_planner.recorder import Recorder
 from aero_planner.stage import Hooks, Launches, Stage
-from aero_planner.stages.way_out.places import PLACES, Places, escape_cost, look_around, remember_place
+from aero_planner.stages.way_out.places import (
+    PLACES,
+    Places,
+    escape_cost,
+    look_around,
+    look_at_goal,
+    remember_place,
+)
 
 
 @dataclass(eq=False)
@@ -29,11 +36,22 @@ class Arrays:
     place_idle: wp.array = array(
         wp.float32, "B", "s", "Time since then, or since a place was remembered.", kept="plans"
     )
+    goal_hidden: wp.array = array(
+        wp.int32, "B", "", "Directions from which the goal was behind a surface, as bits.", kept="plans"
+    )
+    nearest_place: wp.array = array(wp.vec3, "B", "m", "Where the drone was nearest to the goal.", kept="plans")
 
 
 def _remember(r: Recorder) -> list[list[Launches]]:
     inputs = [r.problem, r.params, r.previous]
-    return [[[r.record(remember_place, (r.sizes.B,), inputs=inputs, outputs=[r.view("way_out")])]]]
+    outputs = [r.view("way_out"), r.stage_arrays("way_out").nearest_place]
+    return [[[r.record(remember_place, (r.sizes.B,), inputs=inputs, outputs=outputs)]]]
+
+
+def _look(r: Recorder) -> list[list[Launches]]:
+    inputs = [r.problem, r.params, r.cells]
+    launch = r.record(look_at_goal, (r.sizes.B,), inputs=inputs, outputs=[r.view("way_out")])
+    return [[[launch]]]
 
 
 STAGE = Stage(
@@ -43,5 +61,5 @@ STAGE = Stage(
     view=Places,
     hooks=Hooks(spread=look_around),
     terms=(CostTerm("escape", "escape", terminal=escape_cost),),
-    launches={"start": _remember},
+    launches={"start": _remember, "rollouts": _look},
 )

@@ -128,3 +128,25 @@ def test_guides_of_a_slow_drone_that_is_stuck_end_before_what_is_seen(
         np.testing.assert_allclose(lengths[border > 1e-4], np.asarray(expected)[border > 1e-4], atol=2e-5)
     assert not were_stuck[0] and were_stuck[-1] == gets_stuck
     assert not gets_stuck or len(set(np.round(lengths, 3))) > 2  # the shortest, at a wall, and of full length
+
+
+@pytest.mark.parametrize("sides", [11, 12])
+def test_a_goal_behind_a_surface_from_all_sides_has_no_way_to_it(device: str, sides: int):
+    """Then no place is remembered, and the drone flies to where it was nearest to the goal."""
+    case, config = level_case(), config_of(vehicle__speed_limit=1.0)
+    planner, goal = Planner(config, device=device), np.array([0.0, 0.0, 2.0])
+    angles = np.radians(np.arange(0.0, 360.0, 2.0))
+    ring = np.stack((np.cos(angles), np.sin(angles), np.zeros(180)), axis=1)
+    tower = np.concatenate([1.5 * ring + (0.0, 0.0, height) for height in np.arange(0.0, 4.0, 0.1)])
+    for k in range(5 * sides):
+        angle = np.radians(15.0 + 30.0 * (k // 5))
+        position = goal + (3.0 if k < 5 else 3.5) * np.array([np.cos(angle), np.sin(angle), 0.0])
+        state = VehicleState(position, np.zeros(3), case.quaternion, np.zeros(3), time=0.1 * k)
+        planner.plan(state, Goal(goal), tower.astype(np.float32))
+        places = planner.history().arrays
+        assert (int(places["goal_hidden"][0]) & 0xFFF).bit_count() == k // 5 + 1
+    assert (places["place_count"][0] == 0) == (sides == 12)  # pyright: ignore[reportPossiblyUnboundVariable]
+    nearest = goal + 3.0 * np.array([np.cos(np.radians(15.0)), np.sin(np.radians(15.0)), 0.0])
+    np.testing.assert_allclose(planner.workspace.goal.numpy()[0], nearest if sides == 12 else goal, atol=1e-5)
+    planner.plan(case.state, Goal([0.0, 20.0, 0.0]), case.points)
+    assert not planner.history().arrays["goal_hidden"].any(), "another goal is looked at anew"
