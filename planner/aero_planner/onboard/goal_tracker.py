@@ -50,6 +50,9 @@ class GoalTracker:
         self.count = 0
         self._limits = limits
         self._time = 0.0
+        self._alone: MissionProgress | None = None
+        """Progress to a goal that is no mission."""
+        self._is_warned = False
         self._received: NDArray[np.float64] | None = None
         self._is_accepted = False
         self._is_ground_known = False
@@ -148,6 +151,10 @@ class GoalTracker:
         passed, self._time = time - self._time, time
         before = self.progress
         if before is None:
+            if self._alone is not None and self.goal is not None:
+                alone = self._alone
+                self._alone = alone.advance(time, position, speed) if flying else alone.paused(time, passed)
+                self._warn(self._alone, time, position)
             return None
         is_near = math.dist(as_position(position), before.waypoint.position) <= self._limits.arrival_radius
         if not flying:
@@ -158,6 +165,7 @@ class GoalTracker:
             progress = before.advance(time, position, speed)
         if self.goal is not None:
             self._follow(progress)
+            self._warn(progress, time, position)
         if len(progress.events) == len(before.events):
             return None
         event = progress.events[-1]
@@ -168,6 +176,18 @@ class GoalTracker:
         """Forget where the drone was: the estimator was reset."""
         if self.progress is not None:
             self.progress = self.progress.jump(self._time)
+
+    def _warn(self, progress: MissionProgress, time: float, position: ArrayLike) -> None:
+        """Say it once if the drone comes no nearer to the last goal for a while."""
+        since = time - progress.nearest_time
+        if self._is_warned or since < progress.waypoint.timeout or not math.isfinite(progress.nearest):
+            return
+        if self._limits.arrival_radius < self.distance(position) < math.inf:
+            self._is_warned = True
+            _log.warning(
+                "the drone has not come nearer than %.1f m to the goal within %.0f s: the goal may lie in an obstacle; "
+                "it is kept, send another one to fly elsewhere", progress.nearest, since,
+            )  # fmt: skip
 
     def _follow(self, progress: MissionProgress) -> None:
         """Fly to where the progress says; a goal behind a waypoint may lie outside the fence, the waypoint does not."""
@@ -230,11 +250,13 @@ class GoalTracker:
             self._accept(target)
 
     def _accept(self, goal: Target) -> None:
+        self._is_warned = False
         if isinstance(goal, Mission):
             self._follow(MissionProgress(goal, since=self._time, nearest_time=self._time))
             _log.info("the mission has %d waypoints and ends at %s", len(goal), np.round(goal.goal, 2).tolist())
         else:
             self.goal, self.progress = np.array(goal, dtype=np.float64), None
+            self._alone = MissionProgress(Mission.to_goal(goal), since=self._time, nearest_time=self._time)
             _log.info("the goal is %s", np.round(self.goal, 2).tolist())
 
     def _outside(self, goal: Target, ground: float | None) -> tuple[str, str] | None:

@@ -74,3 +74,16 @@ def test_a_first_goal_below_the_origin_waits_for_the_height_of_the_ground(caplog
     assert goals.goal is None
     goals.update(None, ground=-10.0)
     np.testing.assert_array_equal(goals.goal, [20.0, 0.0, -4.0])
+
+
+def test_a_goal_that_is_not_reached_is_reported_once(caplog: pytest.LogCaptureFixture):
+    goals = GoalTracker(LimitSettings(arrival_radius=1.0), (20.0, 0.0, 4.0))
+    for k in range(600):
+        time, x = 1000.0 + 0.1 * k, min(0.5 * k, 17.7)
+        goals.advance(time, (x, 0.0, 4.0), 0.1, flying=k >= 100)
+        assert ("come nearer" in caplog.text) == (k >= 200)
+    assert caplog.text.count("has not come nearer than 2.3 m to the goal within 10 s: the goal may lie in") == 1
+    goals.update(np.array([5.0, 0.0, 3.0]))
+    for k in range(200):
+        goals.advance(1060.0 + 0.1 * k, (5.0, 0.5, 3.0), 0.1, flying=True)
+    assert caplog.text.count("come nearer") == 1, "a drone at its goal has reached it"
