@@ -197,7 +197,8 @@ def open_source(
             count, options = conditions.count, with_conditions(options, conditions)
         world = load(load_world, spec, seed=seed, count=count)
         # The configuration is not known yet: refuse only what no configuration can reach.
-        refuse_impossible(world, rules=FlightRules(), speed_limit=PlannerConfig.find("vehicle.speed_limit").high)
+        limit = PlannerConfig.find("vehicle.speed_limit").high
+        refuse_impossible(world, rules=FlightRules(), speed_limit=limit, must_arrive=False)
         return FlightSource(world, seed=seed, device=device, **options)
     from aero_viz.live.replay import StreamReplay, is_stream_recording
     from aero_viz.logs.log_contents import is_flight_log

@@ -251,7 +251,8 @@ def flight_opener(
         if conditions is not None:
             flags, chosen = dataclasses.replace(flags, count=conditions.count), with_conditions(options, conditions)
         world = load(flags.load, name, seed=seed)
-        refuse_impossible(world, rules=options["rules"], speed_limit=config.vehicle.speed_limit)
+        limit = config.vehicle.speed_limit
+        refuse_impossible(world, rules=options["rules"], speed_limit=limit, must_arrive=False)
         return FlightSource(world, seed=seed, device=device, control_step=config.control_step, **chosen)
 
     return opener

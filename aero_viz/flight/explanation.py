@@ -38,9 +38,12 @@ def explain(
         goal: goal at the end [m], [3].
         rules: rules of the flight.
     """
-    place = np.asarray(position, dtype=np.float64)
-    remaining = float(np.linalg.norm(np.asarray(goal, dtype=np.float64) - place))
+    place, end = np.asarray(position, dtype=np.float64), np.asarray(goal, dtype=np.float64)
+    remaining = float(np.linalg.norm(end - place))
     where = f"at {point(place)}"
+    cause = goal_notice(world, end) if reason in ("stall", "timeout", None) else None
+    if cause is not None:
+        return f"{cause} {_ending(reason, time, rules)} {where}, {remaining:.1f} m from the goal."
     if reason == "arrived":
         return None
     if reason == "collision":
@@ -49,20 +52,28 @@ def explain(
         if clearance < 0.0:
             return f"{subject} inside an obstacle, {-clearance:.3f} m deep in {solid}, {where}."
         return f"{subject} {clearance:.3f} m from {solid}, closer than the radius of {rules.radius:g} m, {where}."
-    if reason == "stall":
-        return (
-            f"The drone moved by less than {rules.stall_distance:g} m within {rules.stall_time:g} s; "
-            f"it stalled {where}, {remaining:.1f} m from the goal."
-        )
     if reason == "out_of_bounds":
         return f"The drone left the world's bounds, {_box(world.bounds)}, {where}."
+    return f"{_ending(reason, time, rules)} {where}, {remaining:.1f} m from the goal."
+
+
+def _ending(reason: str | None, time: float, rules: FlightRules) -> str:
+    """Return how a flight that did not reach its goal ended."""
+    if reason == "stall":
+        return f"The drone moved by less than {rules.stall_distance:g} m within {rules.stall_time:g} s; it stalled"
     if reason == "timeout":
-        return f"The time limit of {rules.time_limit:g} s expired {where}, {remaining:.1f} m from the goal."
-    return f"The flight was not over after {time:.2f} s, {where}, {remaining:.1f} m from the goal."
+        return f"The time limit of {rules.time_limit:g} s expired"
+    return f"The flight was not over after {time:.2f} s,"
+
+
+def goal_notice(world: World, goal: NDArray[np.float64]) -> str | None:
+    """Return one sentence on a goal [m], [3], that no drone can reach; None if nothing is known to prevent it."""
+    problem = goal_problem(world, goal)
+    return problem and f"{problem}, so the drone flies as near to it as is safe."
 
 
 def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
-    """Return why no drone can fly to a goal [m], [3]; None if nothing prevents it.
+    """Return why no drone can reach a goal [m], [3]; None if nothing prevents it.
 
     An example is "The goal (9, 0, -2) lies 2.00 m below the ground of the world 'forest'".
     """
@@ -76,16 +87,16 @@ def goal_problem(world: World, goal: NDArray[np.float64]) -> str | None:
     return where and f"The goal {point(goal)} lies {where}"
 
 
-def mission_problem(world: World, mission: Mission) -> str | None:
-    """Return why no drone can fly a mission to its end; None if nothing prevents it.
+def waypoint_problem(world: World, mission: Mission) -> str | None:
+    """Return which waypoint before the last one lies outside the world's bounds; None if none does.
 
-    A waypoint on the way may lie in an obstacle: it is flown around or given up.
+    A waypoint may lie in an obstacle: it is flown around or given up.
     """
     for i, waypoint in enumerate(mission.waypoints[:-1], 1):
         for place in [row[1:] for row in waypoint.path] or [waypoint.position]:
             if where := _outside(world, np.array(place)):
                 return f"Waypoint {i} of {len(mission)}, {point(place)}, lies {where}"
-    return goal_problem(world, np.array(mission.goal))
+    return None
 
 
 def obstruction(world: World, place: ArrayLike, waypoint: ArrayLike, *, radius: float) -> str | None:
@@ -107,30 +118,34 @@ def obstruction(world: World, place: ArrayLike, waypoint: ArrayLike, *, radius: 
     return f"{world.nearest(path[near[0]])[1]} stands in between" if len(near) else None
 
 
-def world_problem(world: World) -> str | None:
+def world_problem(world: World, *, must_arrive: bool = True) -> str | None:
     """Return why no flight from the start to the goal of a world can arrive; None if nothing is known that prevents it.
 
-    A start inside an obstacle is no problem: that flight collides.
+    A start inside an obstacle is no problem: that flight collides. Without `must_arrive`, neither is a goal that is
+    flown to as near as is safe.
     """
     if where := _outside(world, world.start):
         return f"The start {point(world.start)} lies {where}; give another start."
-    problem = mission_problem(world.standing(), world.route)
-    return problem and f"{problem}; give another {'goal' if problem.startswith('The goal') else 'waypoint'}."
+    if problem := waypoint_problem(world, world.route):
+        return f"{problem}; give another waypoint."
+    problem = goal_problem(world.standing(), np.array(world.route.goal)) if must_arrive else None
+    return problem and f"{problem}; give another goal."
 
 
-def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float) -> None:
+def refuse_impossible(world: World, *, rules: FlightRules, speed_limit: float, must_arrive: bool = True) -> None:
     """Refuse a world in which no planner can arrive, see `world_problem`.
 
     Args:
         world: where to fly.
         rules: when the flight ends.
         speed_limit: speed limit of the planner [m/s].
+        must_arrive: False if it is enough to fly as near to the goal as is safe.
 
     Raises:
-        UserError: the goal lies in an obstacle or is too far away for the time limit, or start or goal lies outside the
-            bounds.
+        UserError: the goal is too far away for the time limit, the start lies outside the bounds, or, with
+            `must_arrive`, the goal cannot be reached.
     """
-    if problem := world_problem(world):
+    if problem := world_problem(world, must_arrive=must_arrive):
         raise UserError(problem)
     time_limit = max(rules.time_limit, FlightRules().time_limit)  # a shorter limit asks for a part of the flight
     place, mission = as_position(world.start), world.route

@@ -104,7 +104,7 @@ def fly(
     try:
         config = config if speed is None else config.replace({"vehicle.speed_limit": speed})
         name = config_name or config.preset_name
-        refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit)
+        refuse_impossible(world, rules=rules, speed_limit=config.vehicle.speed_limit, must_arrive=False)
         source = FlightSource(
             world,
             lidar=lidar,

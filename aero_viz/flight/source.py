@@ -13,10 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from aero_planner import Arrival, Goal, PlannerConfig, Sweeps, VehicleState
 from aero_planner.mission_progress import MissionProgress
-from aero_planner.missions import Mission
+from aero_planner.missions import Mission, Position
 from aero_viz.errors import UserError
 from aero_viz.flight.conditions import live_conditions, with_live_conditions
-from aero_viz.flight.explanation import goal_problem, mission_problem
+from aero_viz.flight.explanation import goal_notice, waypoint_problem
 from aero_viz.flight.flight_settings import FlightSettings
 from aero_viz.flight.flown_mission import FlownMission
 from aero_viz.flight.memory import DEFAULT_MEMORY, MOST_SWEEPS, SWEEPS, WHOLE_SWEEPS, remembered_sweeps
@@ -114,6 +114,8 @@ class FlightSource:
         self._measured = self._setting
         """Setting of the simulator."""
         self._seed, self._mission = seed, FlownMission(simulator, world)
+        self._noticed: tuple[World, Position, str | None] | None = None
+        """World, goal, and what is to be said of it."""
         self._owner = object()
         self._cache = SweepCache(self._measure)
         with wp.ScopedDevice(self.simulator.device):
@@ -130,8 +132,13 @@ class FlightSource:
 
     @property
     def explanation(self) -> str | None:
-        """One sentence on how the flight ended; None while it is flying and for an arrival."""
-        return None if self.outcome is None else self.result().explanation
+        """How the flight ended, or that its goal cannot be reached; None if neither is to be said."""
+        if self.outcome is not None:
+            return self.result().explanation
+        world, goal = self._setting.world, self._mission.progress.mission.goal
+        if self._noticed is None or self._noticed[0] is not world or self._noticed[1] != goal:
+            self._noticed = world, goal, goal_notice(world.standing(), np.array(goal))
+        return self._noticed[2]
 
     def observe(self) -> Observation:
         """Return the estimated state, the last complete sweeps, the goal, and the true state."""
@@ -140,7 +147,7 @@ class FlightSource:
             self._observation = Observation(
                 time=self.simulator.time,
                 state=self._state,
-                goal=Goal(self._mission.goal),
+                goal=Goal(self._setting.world.inside(self._mission.goal)),
                 mission=self._mission.progress,
                 sweeps=sweeps,
                 cloud_age=self._cloud_age,
@@ -235,18 +242,20 @@ class FlightSource:
     def set_goal(self, position: ArrayLike) -> None:
         """Move the goal to `position` [m], [3], world frame.
 
-        A flight that has arrived, stalled or run out of time continues.
+        A flight that has arrived, stalled or run out of time continues. To a goal inside an obstacle, below the ground
+        or outside the world's bounds, the drone flies as near as is safe, and `explanation` says so.
 
         Raises:
-            UserError: the position is not three finite numbers, or it lies inside an obstacle, below the ground or
-                outside the world's bounds. The goal stays.
+            UserError: the position is not three finite numbers within 100 000 km of the origin. The goal stays.
         """
         goal = np.array(position, dtype=np.float64)
         if goal.shape != (3,) or not np.isfinite(goal).all():
             raise UserError(f"The goal {np.asarray(position).tolist()} is not a position; give three finite numbers.")
-        if problem := goal_problem(self._setting.world.at(self.simulator.time), goal):
-            raise UserError(f"{problem}. The goal stays where it was; give a free position.")
-        self._mission.begin(Mission.to_goal(goal))
+        try:
+            mission = Mission.to_goal(goal)
+        except ValueError as error:
+            raise UserError(f"The goal stays where it was: {error}") from None
+        self._mission.begin(mission)
         self._read_state()
 
     def set_mission(self, mission: Mission, *, resume: bool = False) -> None:
@@ -258,22 +267,16 @@ class FlightSource:
                 otherwise, it is flown from its first waypoint on.
 
         Raises:
-            UserError: a waypoint lies outside the world's bounds, or the last one in an obstacle. The mission stays.
+            UserError: a waypoint before the last one lies outside the world's bounds. The mission stays.
             ValueError: with `resume`, a waypoint behind the drone differs, or none is ahead. The mission stays.
         """
-        if problem := mission_problem(self._setting.world.at(self.simulator.time), mission):
-            raise UserError(f"{problem}. The mission stays as it was; give free positions.")
+        if problem := waypoint_problem(self._setting.world, mission):
+            raise UserError(f"{problem}. The mission stays as it was; give positions within the bounds.")
         self._mission.begin(mission, resume=resume)
         self._read_state()
 
     def set_world(self, world: World) -> None:
-        """Fly on among the obstacles of another world, with the same bounds. Points that were measured stay.
-
-        Raises:
-            UserError: the goal would lie in an obstacle. The world stays.
-        """
-        if problem := goal_problem(world.at(self.simulator.time), np.array(self._mission.progress.mission.goal)):
-            raise UserError(f"{problem}. The obstacles stay as they were; move the goal first.")
+        """Fly on among the obstacles of another world, with the same bounds. Points that were measured stay."""
         self._change(world=world)
 
     def set_conditions(self, values: Mapping[str, Any]) -> None:

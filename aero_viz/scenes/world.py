@@ -237,6 +237,14 @@ class World:
         """Return the world with another mission, whose end is the goal."""
         return replace(self, goal=np.array(mission.goal), mission=mission)
 
+    def inside(self, place: ArrayLike) -> NDArray[np.float64]:
+        """Return the place [m], [3], or the nearest one that is a metre inside the bounds if it lies outside them."""
+        place, (lower, upper) = np.asarray(place, dtype=np.float64), self.bounds
+        if ((place >= lower) & (place <= upper)).all():
+            return place
+        margin = np.minimum(1.0, 0.5 * (upper - lower))
+        return np.clip(place, lower + margin, upper - margin)
+
     def at(self, time: float) -> World:
         """Return the world of one moment [s], in which nothing moves; this world if nothing moves anyway."""
         if not len(self.motion):

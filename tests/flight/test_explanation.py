@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -67,8 +68,6 @@ def test_a_collision_names_the_obstacle():
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"spheres": [[9, 0, 2.5, 1]]}, r"goal \(9, 0, 2\) lies inside an obstacle .* 0\.50 m deep in sphere 0"),
-        ({"bounds": [[-1, -1, 0], [5, 5, 5]]}, r"goal \(9, 0, 2\) lies outside the bounds .* x -1 to 5"),
         ({"bounds": [[1, -1, 0], [9, 5, 5]]}, r"start \(0, 0, 2\) lies outside the bounds"),
         (
             {"goal": (5000, 0, 2)},
@@ -83,6 +82,24 @@ def test_impossible_flights_are_refused(tables, message):
     ):
         with pytest.raises(UserError, match=message):
             refuse()
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"spheres": [[9, 0, 2.5, 1]]}, r"The goal \(9, 0, 2\) lies inside an obstacle .* 0\.50 m deep in sphere 0"),
+        ({"bounds": [[-1, -1, 0], [5, 5, 5]]}, r"The goal \(9, 0, 2\) lies outside the bounds .* x -1 to 5"),
+    ],
+)
+def test_a_goal_that_no_drone_can_reach_is_refused_where_flights_must_arrive_and_named_where_one_ends(tables, message):
+    place = world(**tables)
+    with pytest.raises(UserError, match=message + ".*give another goal"):
+        refuse_impossible(place, rules=RULES, speed_limit=7.0)
+    refuse_impossible(place, rules=RULES, speed_limit=7.0, must_arrive=False)
+    ending = explain("stall", place, (5.0, 0.0, 2.0), time=9.0, clearance=1.0, goal=place.goal, rules=RULES)
+    assert re.match(
+        message + r".*, so the drone flies as near to it as is safe\. .* stalled at \(5, 0, 2\), 4\.0 m", ending
+    )
 
 
 def test_a_far_goal_is_refused_depending_on_speed_and_time():

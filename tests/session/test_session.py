@@ -229,18 +229,24 @@ def test_an_impossible_goal_is_refused(session: Session, goal: list[float]):
         session.set_goal(goal)
 
 
-def test_a_goal_in_an_obstacle_is_refused_with_a_notice_and_the_previous_one_stays(live: Session):
+def test_a_goal_too_far_for_a_number_is_refused_with_a_notice_and_the_previous_one_stays(live: Session):
     notices: list[Notice] = []
     live.subscribe_notices(notices.append)
-    inside = [4.0, 0.3, 2.0]
-    with pytest.raises(UserError, match="inside an obstacle"):
-        live.set_goal(inside, quiet=True).result()
-    assert live.set_goal(inside).exception() is not None
+    with pytest.raises(UserError, match="goal stays"):
+        live.set_goal([1e30, 0.0, 2.0], quiet=True).result()
+    assert live.set_goal([1e30, 0.0, 2.0]).exception() is not None
     live.set_goal([0.0, 12.0, 2.0]).result()
     wait_for(lambda: notices)
-    assert [(n.level, "inside an obstacle" in n.text) for n in notices] == [("error", True)]
+    assert [(n.level, "goal stays" in n.text) for n in notices] == [("error", True)]
     assert live.frame is not None
     np.testing.assert_array_equal(live.frame.observation.goal.position, [0.0, 12.0, 2.0])
+
+
+def test_frames_say_that_a_goal_lies_in_an_obstacle(live: Session):
+    live.set_goal([4.0, 0.3, 2.0]).result()
+    wait_for(lambda: live.frame is not None and "inside an obstacle" in str(live.frame.explanation))
+    live.set_goal([0.0, 12.0, 2.0]).result()
+    wait_for(lambda: live.frame is not None and live.frame.explanation is None)
 
 
 def test_a_goal_whose_plan_fails_leaves_the_previous_one():
