@@ -13,7 +13,7 @@ from tests.planner.reference import Array
 
 LIDAR = LidarModel("sparse", points_per_sweep=4000)
 GROUND = [10.0, 0.0, -0.5, 400.0, 400.0, 1.0, 0.0]
-BOUNDS = np.array([[-60.0, -60.0, -1.0], [200.0, 60.0, 30.0]])
+BOUNDS = np.array([[-60.0, -60.0, -5.0], [200.0, 60.0, 30.0]])
 REAL = {"thrust_lag": 0.04, "rate_lag": 0.03, "drag": 0.25, "latency": 0.02}
 NOISE = StateNoise(position=0.03, velocity=0.05, attitude=0.5)
 FEW: dict[str, Any] = {"sampling.samples": 64, "sampling.effective_samples": 6.0}

@@ -137,7 +137,7 @@ def test_a_goal_behind_a_surface_from_all_sides_has_no_way_to_it(device: str, si
     planner, goal = Planner(config, device=device), np.array([0.0, 0.0, 2.0])
     angles = np.radians(np.arange(0.0, 360.0, 2.0))
     ring = np.stack((np.cos(angles), np.sin(angles), np.zeros(180)), axis=1)
-    tower = np.concatenate([1.5 * ring + (0.0, 0.0, height) for height in np.arange(0.0, 4.0, 0.1)])
+    tower = np.concatenate([1.5 * ring + (0.0, 0.0, height) for height in np.arange(0.0, 4.0, 0.03)])
     for k in range(5 * sides):
         angle = np.radians(15.0 + 30.0 * (k // 5))
         position = goal + (3.0 if k < 5 else 3.5) * np.array([np.cos(angle), np.sin(angle), 0.0])
