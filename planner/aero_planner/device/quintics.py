@@ -40,7 +40,8 @@ def quintic(p0: wp.vec3, v0: wp.vec3, acceleration0: wp.vec3, p1: wp.vec3, v1: w
 
 @wp.func
 def guide_position(c: Quintic, s: float) -> wp.vec3:
-    """Return the position of a guide at time s."""
+    """Return the position of a guide at time s; past its end, it stays there."""
+    s = wp.min(s, c.T)
     return c.a0 + s * (c.a1 + s * (c.a2 + s * (c.a3 + s * (c.a4 + s * c.a5))))
 
 

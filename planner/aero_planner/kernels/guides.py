@@ -23,6 +23,18 @@ FAN_ANGLE = wp.constant(30.0 * 3.14159265 / 180.0)
 """Angle between them [rad]."""
 
 
+NEAR_GOAL = wp.constant(0.5)
+"""Distance within which guides that stop at the goal take less time, to 0.6 of the horizon [m]: a drone that hovers
+must come back fast from where a gust has moved it."""
+
+
+@wp.func
+def guide_time(goal_distance: float, T: float, params: Params) -> float:
+    """Return the duration of a guide that stops at the goal [s]; without lookahead_time, it is T as in the paper."""
+    share = wp.clamp(goal_distance / NEAR_GOAL, 0.6, 1.0)
+    return wp.where(params.lookahead_time > 0.0, share * T, T)
+
+
 @wp.func
 def braking_angle(candidate: int) -> float:
     """Return the angle of a braking candidate to the left of the velocity: 0, 1, -1, 2, -2 times `FAN_ANGLE` [rad]."""
@@ -95,10 +107,13 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
         v1 = wp.vec3(0.0, 0.0, 0.0)
         heading_goal = heading(start.goal_quaternion[b])
         elapsed = float(-1.0)
+        duration = T
         if m < anchor_count:
             p1 = refine(b, m, lane, start, cells, initial_directions)
             if start.lookahead[b] >= goal_distance:
                 v1 = start.goal_velocity[b]
+                if wp.length(v1) == 0.0:
+                    duration = guide_time(goal_distance, T, c)
         elif m == previous_index:
             elapsed = time_since_plan(b, problem.time[b], previous, c)
             p1 = previous.end[b]
@@ -111,7 +126,7 @@ def make_guides(tuning: KernelTuning, composition: Composition) -> wp.Kernel:
             guides.anchors[b, m] = p1
             if m >= anchor_count:
                 guides.initial_endpoints[b, m] = p1
-        curve = quintic(p0, v0, start.acceleration[b], p1, v1, T)
+        curve = quintic(p0, v0, start.acceleration[b], p1, v1, duration)
         write_guide(b, m, lane, LANES, curve, c.dt, guides)
         if elapsed >= 0.0:
             for t in range(lane, nominal_controls.shape[2], LANES):

@@ -213,7 +213,7 @@ def follow(
     """
     required = guide_force(guide, k.g, k.drag)
     lead = k.dt + 2.0 * params.rate_lag
-    f = force_at(required, time + 0.5 * k.dt)
+    f = force_at(required, wp.min(time + 0.5 * k.dt, guide.T))
     z_body = quat_inverse_rotate(q, wp.normalize(force_at(required, wp.min(time + lead, guide.T))))
     # The shortest rotation of the body z axis is about e_3 x z_body, by the angle between them.
     sine = wp.sqrt(z_body[0] * z_body[0] + z_body[1] * z_body[1])
