@@ -68,7 +68,6 @@ class SimulatedAutopilot:
     Attributes:
         vehicle: the true state of the vehicle.
         mode, armed: reported by the next heartbeat.
-        battery_low: True makes the autopilot warn of a low battery.
         frozen: True makes the autopilot repeat its last state.
         velocity_error: error of the reported velocity along y, to the west, with which the position drifts [m/s].
         parameters: PX4's parameters by name; an int where PX4's is an integer.
@@ -102,7 +101,7 @@ class SimulatedAutopilot:
             place[2] = ground
         self.vehicle = Vehicle(model, place[None], [heading], period=PERIOD, device="cpu", seeds=[seed])
         self.mode, self.armed, self.frozen = Mode.HOLD, False, False
-        self.battery_low, self._has_transmitter = False, True
+        self._is_battery_low, self._has_transmitter = False, True
         self.velocity_error = self._drift = 0.0  # [m/s], [m]
         self.parameters: dict[str, float | int] = {
             "COM_OF_LOSS_T": loss_time,
@@ -218,6 +217,10 @@ class SimulatedAutopilot:
         self._has_transmitter = not lost
         if lost and self.mode is Mode.OFFBOARD and not int(self.parameters["COM_RCL_EXCEPT"]) & _EXCEPT_OFFBOARD:
             self.hold()
+
+    def drain_battery(self) -> None:
+        """Make the autopilot warn of a low battery from now on."""
+        self._is_battery_low = True
 
     def hold(self) -> None:
         """Switch to HOLD, as the pilot or the autopilot's failsafe does."""
@@ -372,7 +375,7 @@ class SimulatedAutopilot:
 
     def _battery_messages(self) -> list[Any]:
         d = self._dialect
-        charge = d.MAV_BATTERY_CHARGE_STATE_LOW if self.battery_low else d.MAV_BATTERY_CHARGE_STATE_OK
+        charge = d.MAV_BATTERY_CHARGE_STATE_LOW if self._is_battery_low else d.MAV_BATTERY_CHARGE_STATE_OK
         voltages, unknown = [2**16 - 1] * 10, -1
         # Number, function, type, temperature, voltages, current, consumed charge and energy, rest, time, state.
         return [d.MAVLink_battery_status_message(0, 0, 0, 2**15 - 1, voltages, *[unknown] * 4, 0, charge)]

@@ -46,7 +46,7 @@ FAULT_KINDS: dict[str, FaultKind] = {
 }
 """Kinds of faults by name."""
 
-OWN_FAULTS = ("err-velocity", "low-battery")
+OWN_FAULTS = ("err-velocity",)
 """Kinds of faults that only the rig's own autopilot has."""
 
 _MAX_VALUE = 1e6

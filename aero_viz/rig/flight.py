@@ -270,10 +270,10 @@ class RigFlight:
             self._autopilot.lose_position(active)
         elif fault.kind in OWN_FAULTS:
             assert isinstance(self._autopilot, SimulatedAutopilot)  # checked by `fly_rig`
-            if fault.kind == "low-battery":
-                self._autopilot.battery_low = True
-            else:
-                self._autopilot.velocity_error = (fault.amount or 0.0) if active else 0.0
+            self._autopilot.velocity_error = (fault.amount or 0.0) if active else 0.0
+        elif fault.kind == "low-battery":
+            if active:
+                self._autopilot.drain_battery()
         elif fault.kind == "lose-transmitter":
             self._autopilot.lose_transmitter(active)
         elif fault.kind == "take-over":

@@ -48,6 +48,7 @@ _AUTO, _OFFBOARD, _TAKEOFF, _LOITER = 4, 6, 2, 3  # PX4's main modes and submode
 _MODES = {1: "MANUAL", 2: "ALTITUDE", 3: "POSITION", 5: "ACRO", _OFFBOARD: "OFFBOARD", 7: "STABILIZED"}
 _AUTO_MODES = {1: "READY", _TAKEOFF: "TAKEOFF", _LOITER: "HOLD", 4: "MISSION", 5: "RETURN", 6: "LAND", 9: "DESCEND"}
 _SATELLITES = 10  # PX4's default of SIM_GPS_USED
+_LOW_BATTERY = {"SIM_BAT_MIN_PCT": 20.0, "SIM_BAT_DRAIN": 1.0, "BAT_LOW_THR": 0.5}  # [%], [s], charge
 _FORCE_DISARM = 21196.0
 
 
@@ -171,7 +172,12 @@ class Px4Autopilot:
 
     def lose_position(self, lost: bool = True) -> None:
         """Switch GNSS off, or on again."""
-        self._set_integer("SIM_GPS_USED", 0 if lost else _SATELLITES)
+        self._set_parameter("SIM_GPS_USED", 0 if lost else _SATELLITES)
+
+    def drain_battery(self) -> None:
+        """Empty the simulated battery: within a few seconds, PX4 warns that it is low, but not yet critical."""
+        for name, value in _LOW_BATTERY.items():
+            self._set_parameter(name, value)
 
     def start(self) -> None:
         """Make the present the time 0 of the simulation."""
@@ -354,9 +360,11 @@ class Px4Autopilot:
         custom = self._dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
         self._command(self._dialect.MAV_CMD_DO_SET_MODE, custom, main, sub)
 
-    def _set_integer(self, name: str, value: int) -> None:
-        content = struct.unpack("<f", struct.pack("<i", value))[0]  # PX4 takes the bits of the integer
-        kind = self._dialect.MAV_PARAM_TYPE_INT32
+    def _set_parameter(self, name: str, value: float) -> None:
+        """Set a parameter, which is an integer if the value is an int."""
+        kind, content = self._dialect.MAV_PARAM_TYPE_REAL32, value
+        if isinstance(value, int):
+            kind, content = self._dialect.MAV_PARAM_TYPE_INT32, struct.unpack("<f", struct.pack("<i", value))[0]
         self._send(self._dialect.MAVLink_param_set_message(self._px4.system, 1, name.encode(), content, kind))
 
     def _command(self, command: int, *parameters: float) -> None:

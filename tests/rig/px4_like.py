@@ -19,6 +19,7 @@ ORIGIN = 473977420, 85455940, 488500
 PARAMETERS: dict[str, float | int] = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 2, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 0, "NAV_RCL_ACT": 2,
     "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MIS_TAKEOFF_ALT": 2.5,
+    "SIM_BAT_MIN_PCT": 50.0, "SIM_BAT_DRAIN": 60.0, "BAT_LOW_THR": 0.15, "SIM_GPS_USED": 10,
 }  # fmt: skip
 """Wrong, as in a PX4 that was just built."""
 

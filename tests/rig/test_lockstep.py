@@ -184,7 +184,7 @@ def test_a_drone_without_reserves_stops_where_it_sees_and_is_handed_over_at_rest
         if reserve == "transmitter":
             rig.autopilot.lose_transmitter()
         else:
-            rig.autopilot.battery_low = True
+            rig.autopilot.drain_battery()
         rig.run(1.1)
         assert rig.node.state in (State.BRAKING, State.HOLDING) and rig.autopilot.mode is Mode.OFFBOARD
         run_until_handed_back(rig)

@@ -1,5 +1,6 @@
 """The start of a flight with PX4, against a program that speaks like it."""
 
+import contextlib
 import os
 import re
 import sys
@@ -11,6 +12,8 @@ import pytest
 
 from aero_planner import PlannerConfig
 from aero_planner.onboard.connections import thrust_model
+from aero_planner.onboard.mavlink import MavlinkLink
+from aero_planner.onboard.px4_parameters import read_parameters
 from aero_planner.onboard.settings import OnboardConfig
 from aero_viz.errors import UserError
 from aero_viz.rig.px4_autopilot import Px4Autopilot
@@ -53,6 +56,23 @@ def test_parameters_are_set_and_the_origin_is_found_however_slow_the_heartbeats_
         np.testing.assert_allclose(autopilot.local(np.array([1.0, 2.0, 0.0])), [0.0, 0.0, 0.5], atol=1e-6)
     finally:
         autopilot.close()
+
+
+@pytest.mark.parametrize("px4", [REAL_TIME], indirect=True, ids=["real time"])
+def test_faults_of_the_simulated_sensors_and_battery_reach_px4_in_its_own_types(px4: Px4Process):
+    set_parameters(px4, ONBOARD, VEHICLE, {})
+    thrust = thrust_model(ONBOARD, VEHICLE)
+    autopilot = Px4Autopilot(px4, (HOST, 9), origin=np.zeros(3), heading=0.0, thrust=thrust)
+    try:
+        autopilot.lose_position()
+        autopilot.drain_battery()
+    finally:
+        autopilot.close()
+    wanted = {"SIM_GPS_USED": 0.0, "SIM_BAT_MIN_PCT": 20.0, "SIM_BAT_DRAIN": 1.0, "BAT_LOW_THR": 0.5}
+    with contextlib.closing(MavlinkLink(f"udpin:{HOST}:{px4.companion_remote}", thrust, system=px4.system)) as link:
+        # The first answer may be from before what waits on the other connection.
+        present = [read_parameters(link, wanted) for _ in range(5)][-1]
+    assert present == wanted
 
 
 @pytest.mark.parametrize("px4", [REAL_TIME], indirect=True, ids=["real time"])
