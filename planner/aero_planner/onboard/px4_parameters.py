@@ -24,8 +24,6 @@ _TOLERANCE = 1e-6
 
 _OVERRIDE_OFFBOARD, _EXCEPT_OFFBOARD = 2, 4  # bits of COM_RC_OVERRIDE and COM_RCL_EXCEPT
 _HOLD, _POSITION = 5, 0  # values of COM_OBL_RC_ACT
-_RCL_HOLD, _RCL_LAND = 1, 3  # values of NAV_RCL_ACT, and of NAV_DLL_ACT, in which 0 is none
-_BATTERY_WARN, _BATTERY_LAND = 0, 2  # values of COM_LOW_BAT_ACT
 _MAX_CRITICAL = 0.1  # charge; BAT_LOW_THR is 0.12 or more
 _MIN_FAILSAFE_DELAY = 3.0  # [s] in which PX4's Hold stops the drone from 5 m/s
 
@@ -42,6 +40,32 @@ class _Wanted:
     repair: Callable[[float], float] | None = None
     """Returns the value to write instead of a wrong one; None if only the user can know it."""
     required: bool = True
+
+
+@dataclass(frozen=True)
+class _Failsafe:
+    """One of PX4's failsafes that act in OFFBOARD, too."""
+
+    name: str
+    """The parameter that holds its action."""
+    event: str
+    actions: dict[int, str]
+    """The accepted actions in words, by value; the others return or end the flight."""
+    repair: int | None
+    """The value to write instead of another one; None leaves the choice to the user."""
+
+
+_FAILSAFES = (
+    _Failsafe("NAV_RCL_ACT", "the transmitter is lost", {1: "Hold", 3: "Land"}, 1),
+    _Failsafe("NAV_DLL_ACT", "the ground station is lost", {0: "none", 1: "Hold", 3: "Land"}, 0),
+    _Failsafe("COM_LOW_BAT_ACT", "the battery is critical", {0: "warning", 2: "Land"}, None),
+    _Failsafe("COM_FLTT_LOW_ACT", "the battery only suffices for the way back", {0: "none", 1: "warning"}, 1),
+    _Failsafe("COM_FLT_TIME_MAX", "the longest flight time [s] is over", {-1: "no limit"}, -1),
+    _Failsafe("GF_ACTION", "its own geofence is left", {0: "none", 1: "warning", 2: "Hold", 5: "Land"}, 2),
+    _Failsafe("COM_WIND_MAX_ACT", "the wind is strong", {0: "none", 1: "warning", 2: "Hold", 5: "Land"}, 1),
+    _Failsafe("COM_IMB_PROP_ACT", "a propeller vibrates", {-1: "none", 0: "warning", 2: "Land"}, 0),
+    _Failsafe("COM_ACT_FAIL_ACT", "a motor fails", {0: "warning", 1: "Hold", 2: "Land"}, 0),
+)
 
 
 @dataclass(frozen=True)
@@ -145,6 +169,20 @@ def parameter_names(onboard: OnboardConfig) -> list[str]:
     return [wanted.name for wanted in _wanted(onboard)]
 
 
+def _without_detour(failsafe: _Failsafe) -> _Wanted:
+    """Return the requirement that a failsafe does not return."""
+    *others, last = (f"{value} ({action})" for value, action in failsafe.actions.items())
+    reason = f"What PX4 does when {failsafe.event}: Return first climbs to 30 m by default, through the trees."
+    repair = failsafe.repair
+    return _Wanted(
+        failsafe.name,
+        f"{', '.join(others)} or {last}" if others else last,
+        reason if repair is not None else f"{reason} Choose one by hand.",
+        lambda value: value in failsafe.actions,
+        None if repair is None else lambda _: repair,
+    )
+
+
 def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
     shortest = onboard.limits.deadline + _CONTROL_PERIODS / onboard.rates.control
     loss_time = max(0.2, shortest)
@@ -180,27 +218,7 @@ def _wanted(onboard: OnboardConfig) -> list[_Wanted]:
             lambda value: bool(int(value) & _EXCEPT_OFFBOARD),
             lambda value: int(value) | _EXCEPT_OFFBOARD,
         ),
-        _Wanted(
-            "NAV_RCL_ACT",
-            "1 (Hold) or 3 (Land)",
-            "What PX4 does when the transmitter is lost. Its default, Return, first climbs to 30 m, through the trees.",
-            lambda value: value in (_RCL_HOLD, _RCL_LAND),
-            lambda _: _RCL_HOLD,
-        ),
-        _Wanted(
-            "NAV_DLL_ACT",
-            "0 (none), 1 (Hold) or 3 (Land)",
-            "What PX4 does when the ground station is lost: Return climbs first, through the trees.",
-            lambda value: value in (0, _RCL_HOLD, _RCL_LAND),
-            lambda _: 0,
-        ),
-        _Wanted(
-            "COM_LOW_BAT_ACT",
-            "0 (warning) or 2 (Land)",
-            "What PX4 does when the battery is critical, in OFFBOARD, too: Return climbs first, through the trees. "
-            "Choose one by hand.",
-            lambda value: value in (_BATTERY_WARN, _BATTERY_LAND),
-        ),
+        *map(_without_detour, _FAILSAFES),
         _Wanted(
             "BAT_CRIT_THR",
             f"{_MAX_CRITICAL:g} or less",

@@ -27,6 +27,8 @@ CHANGE = ParameterChange("NAV_RCL_ACT", 1, 2)
 DEFAULTS = {
     "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 1, "COM_RCL_EXCEPT": 0, "NAV_RCL_ACT": 2,
     "NAV_DLL_ACT": 0, "COM_LOW_BAT_ACT": 0, "BAT_CRIT_THR": 0.07, "COM_FAIL_ACT_T": 5.0,
+    "COM_FLTT_LOW_ACT": 0, "COM_FLT_TIME_MAX": -1, "GF_ACTION": 2, "COM_WIND_MAX_ACT": 0, "COM_IMB_PROP_ACT": 0,
+    "COM_ACT_FAIL_ACT": 0,
     "THR_MDL_FAC": 0.0, "MPC_THR_HOVER": 0.5, "MAV_1_FORWARD": 0,
 }  # fmt: skip
 """PX4's defaults."""
@@ -211,6 +213,13 @@ def test_a_parameter_that_is_not_reported_is_a_warning():
         ("NAV_DLL_ACT", 2, 0, True),  # Return
         ("COM_LOW_BAT_ACT", 3, None, True),  # Return, then Land
         ("COM_LOW_BAT_ACT", 1, None, True),
+        ("COM_FLTT_LOW_ACT", 3, 1, True),  # Return
+        ("COM_FLT_TIME_MAX", 600, -1, True),
+        ("GF_ACTION", 3, 2, True),
+        ("GF_ACTION", 4, 2, True),  # ends the flight
+        ("COM_WIND_MAX_ACT", 3, 1, True),
+        ("COM_IMB_PROP_ACT", 1, 0, True),
+        ("COM_ACT_FAIL_ACT", 3, 0, True),
         ("COM_FAIL_ACT_T", 0.0, 5.0, False),
     ],
 )
