@@ -56,7 +56,7 @@ class _Failsafe:
 
 
 _FAILSAFES = (
-    _Failsafe("NAV_RCL_ACT", "the transmitter is lost", {1: "Hold", 3: "Land"}, 1),
+    _Failsafe("NAV_RCL_ACT", "the transmitter is lost in a mode other than OFFBOARD", {1: "Hold", 3: "Land"}, 1),
     _Failsafe("NAV_DLL_ACT", "the ground station is lost", {0: "none", 1: "Hold", 3: "Land"}, 0),
     _Failsafe("COM_LOW_BAT_ACT", "the battery is critical", {0: "warning", 2: "Land"}, None),
     _Failsafe("COM_FLTT_LOW_ACT", "the battery only suffices for the way back", {0: "none", 1: "warning"}, 1),
@@ -177,7 +177,7 @@ def _without_detour(failsafe: _Failsafe) -> _Wanted:
     return _Wanted(
         failsafe.name,
         f"{', '.join(others)} or {last}" if others else last,
-        reason if repair is not None else f"{reason} Choose one by hand.",
+        reason if repair is not None else f"{reason} Choose by hand: after a mere warning, it flies on until it falls.",
         lambda value: value in failsafe.actions,
         None if repair is None else lambda _: repair,
     )
