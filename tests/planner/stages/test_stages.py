@@ -90,7 +90,7 @@ def test_a_stage_that_is_not_active_records_and_allocates_nothing(name: str, tun
 def test_the_arrays_of_a_stage_can_be_read_while_it_is_active(device: str):
     planner = Planner(config_with(NAMES), device=device)
     assert set(planner.arrays_of("way_out")) == {
-        "places", "place_count", "place_goal", "place_nearest", "place_idle"
+        "places", "place_count", "place_goal", "place_nearest", "place_idle", "goal_hidden", "nearest_place"
     }  # fmt: skip
     assert {"scan", "dynamic_count"} < set(planner.arrays_of("moving_obstacles"))
     planner.configure(config_with(()))
