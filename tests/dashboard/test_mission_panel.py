@@ -108,7 +108,7 @@ def test_numbers_change_the_selected_waypoint_and_a_refusal_says_why_and_brings_
     give(desk, "Place [m]", (4.0, 2.0, 3.0))
     changed = Waypoint((4.0, 2.0, 3.0), radius=0.5, speed=2.5, stop=True)
     wait_for(lambda: progress(desk).waypoint == changed, "the changes")
-    assert desk.session.frame.observation.goal.position == (4.0, 2.0, 3.0)
+    assert tuple(desk.session.frame.observation.goal.position) == (4.0, 2.0, 3.0)
     assert desk.session.frame.config.vehicle.speed_limit == 2.5
     give(desk, "Radius [m]", 0.0)
     read_until(desk.client, "radius is 0; it must be greater than 0")

@@ -84,7 +84,7 @@ def test_the_stages_have_a_check_box_each_and_the_model_a_menu(server):
     info = PlannerConfig.find("stages.active")
     control = add_control(server.gui, info, info.default)
     assert isinstance(control, ItemsControl) and control.value == info.default
-    assert [box.label for box in control.boxes.values()][:2] == ["Unseen space", "Moving obstacles"]
+    assert [box.label for box in control.boxes.values()][:2] == ["Unseen space", "Way out"]
     control.boxes["way_out"].value = False
     less = PlannerConfig().replace({"stages.active": control.value})
     assert "way_out" not in less.stages.names and len(less.stages.names) == len(info.items or ()) - 1

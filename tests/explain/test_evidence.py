@@ -96,17 +96,11 @@ def test_a_sentence_names_term_time_and_obstacle():
     assert any(re.fullmatch(named, sentence) for sentence in sentences), sentences
 
 
-@pytest.mark.parametrize(
-    ("prove_stop", "distance_max", "is_unsafe"),
-    [
-        (False, 0.31, True),
-        (False, 0.55, False),  # clearances are measured farther than the speed asks for
-        (True, 0.31, False),  # the stops are judged
-    ],
-)
-def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_and_not_for_the_ground(
-    replan, prove_stop: bool, distance_max: float, is_unsafe: bool
+@pytest.mark.parametrize(("prove_stop", "distance_max"), [(False, 0.31), (False, 0.55), (True, 0.31)])
+def test_a_drone_that_is_far_above_a_lower_speed_limit_is_not_unsafe_for_that(
+    replan, prove_stop: bool, distance_max: float
 ):
+    """Clearances are measured as far as its real speed asks for."""
     changes = {"stop_proof.prove_stop": prove_stop, "costs.distance_max": distance_max, "sampling.samples": 64}
     session = Session(open_source("forest", seed=3), config=PlannerConfig().replace(changes))
     for _ in range(60):
@@ -115,9 +109,8 @@ def test_a_drone_that_is_far_above_a_lower_speed_limit_is_unsafe_for_its_speed_a
     evidence = replan(session.tick())
     session.close()
     sentences = [verdict(evidence, int(m)) for m in np.flatnonzero(~evidence.is_safe)]
-    speed = r"is unsafe: at [\d.]+ m/s, above the speed limit of 0\.5 m/s, no clearance counts as enough\."
-    assert any(re.search(speed, sentence) for sentence in sentences) == is_unsafe, sentences
-    assert not any("the ground" in sentence for sentence in sentences), sentences
+    assert evidence.is_safe.sum() > 5
+    assert not any("above the speed limit" in sentence or "the ground" in sentence for sentence in sentences), sentences
 
 
 def test_a_sentence_says_whether_the_stop_or_the_clearance_is_missing(replan):

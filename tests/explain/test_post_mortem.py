@@ -125,13 +125,13 @@ def test_the_obstacle_of_a_collision_among_cylinders_is_named():
 
 
 def test_a_fast_obstacle_is_named_with_its_speed():
-    pillar, motion = [[4.0, 0, 0, 0, 0, 1, 0.5, 8]], [[-6.0, 0.0, 40.0]]
+    pillar, motion = [[6.0, 0, 0, 0, 0, 1, 0.5, 8]], [[-9.0, 0.0, 40.0]]
     content = {"name": "test", "start": [0, 0, 2], "goal": [0, 0.5, 2], "cylinders": pillar, "motion": motion}
     world = World.from_dict({**content, "boxes": [GROUND, [0, 2, 2, 4, 1, 4, 0], [0, -2, 2, 4, 1, 4, 0]]})
     rules = FlightRules(arrival_radius=0.01)
     _, _, report, evidence = flown(world, rules=rules)
     assert report.outcome == "collision" and report.cause.startswith("hit a moving obstacle: ")
-    assert report.obstacle == "cylinder 0" and "moves at 6.0 m/s" in report.format_table()
+    assert report.obstacle == "cylinder 0" and "moves at 9.0 m/s" in report.format_table()
     assert "did not track it as moving" in report.format_table(), "it is faster than any that the planner follows"
     assert report.seen is not None and report.braking is None
     assert evidence is not None

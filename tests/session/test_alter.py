@@ -148,12 +148,6 @@ def test_the_drone_can_be_moved_and_flies_on_from_there(session):
         (lambda source: source.set_conditions({"noise.position": -1.0}), ValueError),
         (lambda source: source.set_conditions({"drone.mass": 2.0}), ValueError),
         (lambda source: source.set_conditions({"drone.latency": 2.0}), ValueError),
-        (
-            lambda source: source.set_world(
-                dataclasses.replace(source.observe().world, spheres=np.array([[20.0, 0.0, 2.0, 1.0]]))
-            ),
-            UserError,
-        ),
     ],
 )
 def test_a_change_that_cannot_be_is_refused_and_changes_nothing(session, change, error):
