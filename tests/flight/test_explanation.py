@@ -97,9 +97,8 @@ def test_a_goal_that_no_drone_can_reach_is_refused_where_flights_must_arrive_and
         refuse_impossible(place, rules=RULES, speed_limit=7.0)
     refuse_impossible(place, rules=RULES, speed_limit=7.0, must_arrive=False)
     ending = explain("stall", place, (5.0, 0.0, 2.0), time=9.0, clearance=1.0, goal=place.goal, rules=RULES)
-    assert re.match(
-        message + r".*, so the drone flies as near to it as is safe\. .* stalled at \(5, 0, 2\), 4\.0 m", ending
-    )
+    said = message + r".*, so the drone flies as near to it as is safe\. .* stalled at \(5, 0, 2\), 4\.0 m"
+    assert ending is not None and re.match(said, ending)
 
 
 def test_a_far_goal_is_refused_depending_on_speed_and_time():

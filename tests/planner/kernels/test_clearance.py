@@ -148,7 +148,7 @@ def test_a_goal_at_a_height_that_is_not_free_counts_as_the_nearest_free_place(
     """In a band that is too low for d_max on both sides, that is its middle."""
     case = random_case(0, count=0, tilt=0.0)
     case.position, plans = np.array([0.0, 0.0, 1.375]), []
-    config = config_of(**{"costs__height_min": -2.0, "costs__height_max": 4.0, **changes})
+    config = config_of("default", **{"costs__height_min": -2.0, "costs__height_max": 4.0, **changes})
     for z in (height, flown_to):
         case.goal = np.array([6.0, 2.0, z])
         plans.append(case.plan(Planner(config, device=device), ground_height=-1.0))
