@@ -75,12 +75,12 @@ def test_a_thrown_obstacle_lies_on_the_plan_and_a_click_on_it_selects_it(desk):
     desk.page.get_by_text("Selected:").wait_for(state="hidden")
     desk.wait_for(lambda: magenta(desk) < 50, "no selection in the scene")
     desk.checkbox("Edit obstacles").click()
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
     desk.page.mouse.click(*desk.place_on_page(present(desk, "sphere").center))
     desk.page.get_by_text(f"Selected: {name}").wait_for()
     desk.wait_for(lambda: magenta(desk) > 500, "the selection in the scene")
     desk.page.mouse.click(*GROUND)
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
 
 
 def test_a_click_passes_through_a_faint_obstacle_and_the_arrows_leave_room_for_another_one(desk):
@@ -105,7 +105,7 @@ def test_a_click_passes_through_a_faint_obstacle_and_the_arrows_leave_room_for_a
         desk.page.get_by_text(f"Selected: sphere {row}").wait_for()
         desk.wait_for(lambda: magenta(desk) > 50, "the selection in the scene")
     desk.page.mouse.click(*GROUND)
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
 
 
 def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_removed(desk):
@@ -115,7 +115,7 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
         size = present(desk, kind).size
         desk.wait_for(lambda size=size: values(desk, "Size [m]") == pytest.approx(size), "the size in numbers")
     desk.page.mouse.click(*GROUND)
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
     desk.page.get_by_role("button", name="box", exact=True).click()
     row = len(FOREST.boxes) + 1
     desk.page.get_by_text(f"Selected: box {row}").wait_for()
@@ -136,7 +136,7 @@ def test_every_kind_can_be_added_and_an_added_box_be_moved_resized_turned_and_re
     assert box().size == pytest.approx([1.0, 1.0, 2.5])
     desk.click("Remove")
     desk.wait_for(lambda: len(world_of(desk).boxes) == row, "the removal")
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
 
 
 def test_one_diameter_of_a_sphere_changes_all_and_a_size_that_cannot_be_is_refused(desk):

@@ -58,7 +58,7 @@ def test_a_click_is_for_the_tab_that_is_open(desk):
     desk.page.evaluate("() => new Promise((sent) => setTimeout(sent, 300))")
     assert selected_instance(desk) is None
     desk.page.mouse.click(600.0, 650.0)  # nothing but ground
-    desk.page.get_by_text("Click an obstacle").wait_for()
+    desk.page.get_by_text("Click an obstacle").first.wait_for()
 
 
 def test_a_selection_is_hidden_while_its_tab_is_not_open(desk):

@@ -12,6 +12,8 @@ from aero_planner.onboard.frames import world_from_ned
 
 _EARTH_RADIUS = 6_371_000.0
 """Of PX4's map projection [m]."""
+_SPEED_TYPES = (0.0, 1.0)
+"""SPEED_TYPE of the air speed and of the ground speed, for which older versions of pymavlink have no names."""
 
 
 class ItemError(ValueError):
@@ -102,7 +104,7 @@ class ItemReader:
 
     def _change_speed(self, item: Any) -> None:
         d = self._dialect
-        if item.param1 not in (d.SPEED_TYPE_AIRSPEED, d.SPEED_TYPE_GROUNDSPEED):
+        if item.param1 not in _SPEED_TYPES:
             raise ItemError(d.MAV_MISSION_INVALID_PARAM1, "only the air speed or the ground speed can be changed.")
         if item.param2 == -1.0:  # no change
             return
