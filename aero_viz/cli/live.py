@@ -319,7 +319,7 @@ def _when_ready(open_source: Callable[[], StreamSource], shutdown: threading.Eve
         except UserError:
             if time.monotonic() > deadline:
                 raise
-        _wait(lambda: shutdown.is_set(), _POLL)
+        _wait(shutdown.is_set, _POLL)
     return None
 
 

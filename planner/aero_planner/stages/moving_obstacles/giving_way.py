@@ -30,7 +30,7 @@ class MovingObstacles:
     dynamic_velocity: wp.array2d(dtype=wp.vec2)
     dynamic_radius: wp.array2d(dtype=float)
     positions: wp.array3d(dtype=wp.vec3)  # as in `Rollouts`
-    goal_position: wp.array(dtype=wp.vec3)  # as in `Problem`
+    goal_position: wp.array(dtype=wp.vec3)  # `given_goal` of `Problem`
 
 
 @wp.func

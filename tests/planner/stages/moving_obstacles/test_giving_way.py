@@ -36,7 +36,7 @@ def judged(
     """Return which of the candidates with these ends [m], [M, 3], may be flown. All start at (0, 0, 2)."""
     start, share = np.array([0.0, 0.0, 2.0]), np.linspace(0.0, 1.0, 26)[:, None]
     positions = start + share * (ends[:, None] - start)
-    padded = [(*obstacle,) for obstacle in obstacles] or [(np.zeros(2), np.zeros(2), 0.0)]
+    padded = obstacles or [(np.zeros(2), np.zeros(2), 0.0)]
     places, velocities, radii = (np.array(values, np.float32)[None] for values in zip(*padded, strict=True))
     views = Views()
     views.moving_obstacles = bundle(
